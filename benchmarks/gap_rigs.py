@@ -73,11 +73,14 @@ def lot(options: argparse.Namespace) -> None:
             hidden = {cause.effect for cause in units[0].causes}
             found = diagnose_lot({sealed.name: as_case(sealed, sealed.plans) for sealed in units})
             ones = [member.diagnosis for member in found.members]
-            words = [said(d.verdict, d.best.hypothesis.ids, [r.hypothesis.ids for r in d.rivals], hidden) for d in ones]
-            whole = said(found.verdict, found.causes, found.rivals, hidden)
+            words = [
+                said(d.verdict, d.best.hypothesis.ids, [r.hypothesis.ids for r in d.competing_hypotheses], hidden)
+                for d in ones
+            ]
+            whole = said(found.verdict, found.causes, found.competing_hypotheses, hidden)
             alone.update(words)
             together[whole] += 1
-            named, odd = " / ".join(" + ".join(r) for r in found.rivals), ", ".join(found.outliers)
+            named, odd = " / ".join(" + ".join(r) for r in found.competing_hypotheses), ", ".join(found.outliers)
             yield seed, " + ".join(sorted(hidden)), ", ".join(words), whole, named, odd
             if options.calibration:
                 worths.extend((" + ".join(sorted(hidden)), worth) for worth in worth_of(found, units))
@@ -332,7 +335,7 @@ def judged_mechanism(seed: int, law: str | None) -> dict[str, Any]:
     """Return what a diagnosis says of a drawn mechanism, and what is there."""
     drawn = draw_mechanism(seed, law)
     found = diagnose_simulator(drawn.simulator, drawn.runs)
-    shrink, is_inside = found.shrink, None
+    shrink, is_inside = found.explained_fraction, None
     if shrink.low is not None and shrink.high is not None and found.best.ids:
         is_inside = shrink.low <= shrink.held_out <= shrink.high
     chances = {c.effect: c.probability for c in found.causes}

@@ -12,8 +12,8 @@ from common.simulated_cases import Case, cases, coverage
 from common.tables import print_table
 
 from softcal.core.simulated_lot import GOOD
+from softcal.core.unit.correspondence import CorrespondenceTable
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.unit.uncertainty import DIRECTIONS
 
 SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.1, 1.25)
@@ -66,7 +66,7 @@ def print_shares(name: str, group: list[Case]) -> None:
 
 def with_share(case: Case, share: float) -> float:
     """Return the coverage had this share of the map's variance been used."""
-    kinds = KnowledgeTable()
+    kinds = CorrespondenceTable()
     used = (kinds.stage if case.has_stage else kinds.blind).interval_share
     added = case.calibration.interval.half_width**2 - case.source_half_width**2
     half_width = np.sqrt(case.source_half_width**2 + added * share / used)

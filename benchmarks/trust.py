@@ -25,11 +25,11 @@ from scipy.stats import beta
 from softcal.core.quality.acceptance import min_risk
 from softcal.core.quality.interval_inflation import fit_interval_inflation
 from softcal.core.quality.release import AuditedUnit, min_passing, release
-from softcal.core.unit.knowledge import ANCHORED
+from softcal.core.unit.correspondence import ANCHORED
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.method import LineConfig, Method, ReleaseConfig
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.core.unit.verdict import Limit
 
 AUDITS = (0, 3, 5, 10, 20)
@@ -130,7 +130,7 @@ def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int
         min_passing(len(audited) + len(rest) + others, held, config),
     )
     released = [u for u in rest if u.serial in decision.released]
-    widening = fit_interval_inflation([u.samples for u in audited], 0.9, config) if audited else Widening()
+    widening = fit_interval_inflation([u.samples for u in audited], 0.9, config) if audited else IntervalInflation()
     share = {u.serial: covered(u, widening) for u in rest}
     return Draw(
         len(rest) + others,

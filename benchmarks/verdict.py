@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
 from softcal.core.simulated_lot import GOOD
-from softcal.core.unit.knowledge import KnowledgeTable
+from softcal.core.unit.correspondence import CorrespondenceTable
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.verdict import VERDICTS
 
@@ -106,7 +106,7 @@ def print_fit(units: list[Case]) -> None:
     mapped = [c for c in units if c.calibration is not None and c.kind != OPPOSITE_DIRECTION]
     unplaced = [c for c in mapped if not c.has_stage and not is_paired(c)]
     on_stage = [c for c in mapped if c.has_stage and not is_paired(c)]
-    kinds = KnowledgeTable()
+    kinds = CorrespondenceTable()
     for name, names, group in (
         ("blind", dict(kinds.blind.sensitivity), unplaced),
         ("stage", dict(kinds.stage.sensitivity), on_stage),

@@ -18,7 +18,7 @@ from softcal.core.gap.evidence import (
     probabilities,
 )
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.method import RivalConfig
+from softcal.core.gap.method import CompetingHypothesesConfig
 from softcal.core.gap.model import DiagnosisVerdict, ParameterEstimate
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.twin import TWIN, TwinModel
@@ -37,8 +37,8 @@ class UnitSearch:
     problem: Problem
     yardstick: Yardstick
     logs: dict[Ids, float]
-    found: dict[Ids, tuple[Hypothesis, Array]]
-    left: dict[Ids, tuple[float, float]] = field(default_factory=dict)
+    fits: dict[Ids, tuple[Hypothesis, Array]]
+    misfit_and_penalty: dict[Ids, tuple[float, float]] = field(default_factory=dict)
     """χ² of every fit, and what its parameters cost."""
 
     @classmethod
@@ -72,7 +72,7 @@ class UnitSearch:
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
         """Fit causes that this unit's search did not try, from another unit's sizes, also reversed."""
         hypothesis = donor[0].without_episodes()
-        base = self.found[max(self.logs, key=lambda i: self.logs[i])][1][hypothesis.of_base]
+        base = self.fits[max(self.logs, key=lambda i: self.logs[i])][1][hypothesis.of_base]
         sizes = donor[1][hypothesis.of_base.stop :]
         signs = [-1.0 if p.low < 0.0 and p.scale == "linear" else 1.0 for p in hypothesis.parameters]
         turned = sizes * np.array(signs[hypothesis.of_base.stop :])
@@ -80,11 +80,11 @@ class UnitSearch:
         attempts = [fit(self.problem, hypothesis, np.append(base, start), steps=40) for start in starts]
         best = min(attempts, key=lambda one: one.chi2)
         self.logs[ids] = self.yardstick.log_evidence(best)
-        self.found[ids], self.left[ids] = (best.hypothesis, best.coordinates), (best.chi2, penalty(best))
+        self.fits[ids], self.misfit_and_penalty[ids] = (best.hypothesis, best.coordinates), (best.chi2, penalty(best))
 
     def fitted(self, ids: Ids) -> Fit:
         """Return the fit of a hypothesis, made again from its coordinates."""
-        return fit(self.problem, *self.found[ids], steps=5)
+        return fit(self.problem, *self.fits[ids], steps=5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class LotDiagnosis:
 
     Args:
         causes: of the best shared hypothesis, empty for none.
-        rivals: sets of causes that the lot cannot tell apart, the best first.
+        competing_hypotheses: sets of causes that the lot cannot tell apart, the best first.
         probability: of every cause that any unit's search considered.
         logs: log of prior times evidence over the units that follow, by hypothesis.
         ruled_out: hypotheses too far behind at their bound to be fitted to the units that lack them.
@@ -137,7 +137,7 @@ class LotDiagnosis:
 
     verdict: DiagnosisVerdict
     causes: Ids
-    rivals: tuple[Ids, ...]
+    competing_hypotheses: tuple[Ids, ...]
     probability: Mapping[str, float]
     logs: Mapping[Ids, float]
     ruled_out: int
@@ -164,7 +164,7 @@ class LotDiagnosis:
                 for i, p in sorted(self.probability.items(), key=lambda item: -item[1])
                 if p > 0.0
             ],
-            "rivals": [list(ids) for ids in self.rivals],
+            "rivals": [list(ids) for ids in self.competing_hypotheses],
             "outliers": self.outliers,
             "left_out": self.excluded,
             "stray_odds": self.stray_odds,
@@ -200,17 +200,19 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     following = [one for one in searches.values() if one.shared(leader) > one.stray]
     logs = joint_logs(following, votes) if following else votes
     method = next(iter(searches.values())).problem.method
-    open_causes = [_find_imitated(alone[name], one) for name, one in searches.items()]
-    best, rivals, surrogates = _best(logs, open_causes, method.rival)
+    open_causes = [_find_surrogates(alone[name], one) for name, one in searches.items()]
+    best, competing_hypotheses, surrogates = _best(logs, open_causes, method.rival)
     members = tuple(_member(name, one, searches.get(name), best) for name, one in alone.items())
-    verdict = _verdict(best, rivals, members)
+    verdict = _verdict(best, competing_hypotheses, members)
     # Where nothing explains the units, the truth is most likely none of the causes compared.
     trust = method.verdict.unknown_trust if verdict == "unknown" else 1.0
     chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
     probability = {
         i: p * trust * (method.verdict.imitated_trust if i in surrogates else 1.0) for i, p in chances.items()
     }
-    return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members, method.evidence.stray_odds)
+    return LotDiagnosis(
+        verdict, best, competing_hypotheses, probability, logs, ruled_out, members, method.evidence.stray_odds
+    )
 
 
 def joint_logs(following: Sequence[UnitSearch], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
@@ -220,13 +222,13 @@ def joint_logs(following: Sequence[UnitSearch], hypotheses: Iterable[Ids]) -> di
     that is a little wrong does not become more so by being repeated. Within the noise every unit counts
     in full.
     """
-    noise_floor = sum(one.yardstick.floor for one in following)
+    noise_floor = sum(one.yardstick.noise_floor for one in following)
     # The first unit's parameters are paid for apart. Paid for in every unit, what one cause is a little cheaper than
     # another would count as often as there are units.
     size = sum(float(np.log(one.problem.count)) for one in following[1:])
-    totals = {ids: sum(one.left[ids][0] for one in following) + len(ids) * size for ids in hypotheses}
+    totals = {ids: sum(one.misfit_and_penalty[ids][0] for one in following) + len(ids) * size for ids in hypotheses}
     min_total = min(totals.values())
-    cost = {ids: float(np.mean([one.left[ids][1] for one in following])) for ids in totals}
+    cost = {ids: float(np.mean([one.misfit_and_penalty[ids][1] for one in following])) for ids in totals}
     modes = following[0].problem.method.evidence.modes
     return {ids: -0.5 * (misfit(noise_floor + total - min_total, modes) + cost[ids]) for ids, total in totals.items()}
 
@@ -246,7 +248,7 @@ def lot_logs(searches: Sequence[UnitSearch]) -> tuple[dict[Ids, float], int]:
         donor = max((one for one in searches if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
         for one in searches:
             if ids not in one.logs:
-                one.add(ids, donor.found[ids])
+                one.add(ids, donor.fits[ids])
         logs[ids] = _pooled(searches, ids)
     return logs, len(every) - len(logs)
 
@@ -257,7 +259,7 @@ def _pooled(searches: Sequence[UnitSearch], ids: Ids) -> float:
 
 
 def _best(
-    logs: Mapping[Ids, float], open_causes: Sequence[set[str]], config: RivalConfig
+    logs: Mapping[Ids, float], open_causes: Sequence[set[str]], config: CompetingHypothesesConfig
 ) -> tuple[Ids, tuple[Ids, ...], set[str]]:
     top = max(logs, key=lambda ids: logs[ids])
     near = sorted((ids for ids in logs if logs[ids] > logs[top] - config.odds), key=lambda ids: -logs[ids])
@@ -273,10 +275,10 @@ def _best(
     return top, tuple(in_play[: config.most]) if top else (top,), set()
 
 
-def _find_imitated(one: Diagnosis[TwinModel], searches: UnitSearch) -> set[str]:
+def _find_surrogates(one: Diagnosis[TwinModel], searches: UnitSearch) -> set[str]:
     """Return the causes that a free form of the others imitates in a unit, though likelier."""
     ids = one.best.ids
-    every = [rival.ids for rival in one.rivals[1:] if set(rival.ids) > set(ids)]
+    every = [rival.ids for rival in one.competing_hypotheses[1:] if set(rival.ids) > set(ids)]
     larger = [other for other in every if searches.logs[other] > searches.logs[ids]]
     return {i for other in larger for i in other if i not in ids}
 
@@ -290,7 +292,7 @@ def _member(name: str, alone: Diagnosis[TwinModel], searches: UnitSearch | None,
     return LotMember(name, alone, odds > 0.0, odds, sizes, shared_fit)
 
 
-def _verdict(best: Ids, rivals: tuple[Ids, ...], members: tuple[LotMember, ...]) -> DiagnosisVerdict:
+def _verdict(best: Ids, competing_hypotheses: tuple[Ids, ...], members: tuple[LotMember, ...]) -> DiagnosisVerdict:
     included = [m for m in members if not m.is_excluded]
     # The lot explains no more than most of its units: what they leave is there in each of them.
     is_unexplained = 2 * sum(m.diagnosis.verdict == "unknown" for m in included) > len(included)
@@ -298,4 +300,4 @@ def _verdict(best: Ids, rivals: tuple[Ids, ...], members: tuple[LotMember, ...])
         return "unknown"
     if not best:
         return "no_gap"
-    return "ambiguous" if len(rivals) > 1 else "explained"
+    return "ambiguous" if len(competing_hypotheses) > 1 else "explained"

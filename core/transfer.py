@@ -234,7 +234,7 @@ def calibration_gap(diagnosis: Diagnosis[TwinModel], report: Callable[[str], Non
     others = replace(case, runs=tuple(run for run in case.runs if run is not last))
 
     def error_of(twin_fit: Fit) -> float:
-        problem = replace(twin_fit.problem, case=others, use=None, extra_variance=None)
+        problem = replace(twin_fit.problem, case=others, weight_of_sample=None, extra_variance=None)
         # Episodes belong to the recordings they were found in.
         refitted = fit(problem, twin_fit.hypothesis.without_episodes(), twin_fit.coordinates, steps=40)
         return _error_of_twin(explained_twin(refitted), recorded, training_runs, test)

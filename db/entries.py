@@ -172,7 +172,7 @@ class UnitResult:
             "reason_codes": [why.code for why in self.reasons],
             "released": self.verdict == "pass",
             "audited": self.is_audited,
-            "knowledge": state and str(state.knowledge),
+            "knowledge": state and str(state.correspondence),
             "fit_s": state and state.fit.fit_s,
             **self.errors,
         }

@@ -9,14 +9,14 @@ from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import map_sha256
 from softcal.core.messages.reason import plain
 from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
+from softcal.core.unit.correspondence import find_correspondence
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import LEVELS, Method
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.state import AuditResult, UnitState
-from softcal.core.unit.uncertainty import ErrorForecast, Interval, Support, Widening
+from softcal.core.unit.uncertainty import ErrorForecast, Interval, IntervalInflation, Support
 from softcal.core.unit.verdict import Finding, Limit, Verdict
 
 METHOD = Method()
@@ -40,7 +40,7 @@ def fit_of(serial: str, network_id: str, recording_sha256: str, number: int = 1,
         "family": unit_map.family,
         "map_sha256": map_sha256(unit_map),
         "method": METHOD,
-        "knowledge": known_by({}, METHOD.knowledge),
+        "correspondence": find_correspondence({}, METHOD.correspondence),
         "forecast": ErrorForecast(0.1 * number, 0.05 * number, 0.2 * number),
         "budget": {"model": 0.05},
         "fit_s": 0.25,
@@ -63,7 +63,7 @@ def sample_release(**others: object) -> SampleRelease:
         "is_released": True,
         "scale": 1.0,
         "factor": 2.0,
-        "widening": Widening(),
+        "interval_inflation": IntervalInflation(),
         "day_rmse": 0.0,
         "audits": plain("ten audits"),
         "risk": 0.05,

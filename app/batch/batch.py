@@ -30,7 +30,7 @@ from softcal.app.registry.reference import declare_reference
 from softcal.app.registry.same_recordings import same_recordings_of
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import LabelledRecording
-from softcal.core.unit.bridge import make_bridge
+from softcal.core.unit.day_correction import fit_day_correction
 from softcal.core.unit.source_model import make_source_model
 from softcal.db.registry import Registry
 
@@ -70,7 +70,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, hook: 
     day_correction = None
     if run is not None and folder.golden_path is not None:
         with prefix_errors(folder.golden_path):
-            day_correction = make_bridge(models[0], run)
+            day_correction = fit_day_correction(models[0], run)
     own_config = config.network if config.score_own else None
     context = read_lot_context(registry, lot, models, own_config, stored.golden_runs, day_correction)
     work = LotWork(folder, registry, context, stored, config, hook)

@@ -56,7 +56,7 @@ class EngineChoice:
 
 
 @dataclass(frozen=True)
-class WorkerLost(Generic[Item]):
+class WorkerFailure(Generic[Item]):
     """Result of an item that killed its worker in each attempt."""
 
     item: Item
@@ -112,8 +112,8 @@ def run_all(
     """Yield `work(shared, item)` for every item as they finish; a few items per worker wait.
 
     When a worker dies, every item that was under way is split and its parts are tried again alone, so that the one
-    that kills its worker is found; it comes back as `WorkerLost` and the rest goes on. An exception that `work` raises
-    is raised here.
+    that kills its worker is found; it comes back as `WorkerFailure` and the rest goes on. An exception that `work`
+    raises is raised here.
     """
     if choice.engine == "local" and choice.jobs == 1:
         yield from (work(shared, item) for item in items)
@@ -164,7 +164,7 @@ def _try_alone(pool: Pool, work: Work, alone: deque[tuple[Any, int]]) -> Iterato
             if attempt < TRIES_ALONE:
                 alone.appendleft((item, attempt + 1))
                 continue
-            result = WorkerLost(item)
+            result = WorkerFailure(item)
         yield result
 
 

@@ -49,7 +49,7 @@ def isolate_units(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) 
     return ChunkOutcome(tuple(units), time.process_time() - start_s)
 
 
-def lost_outcome(chunk: Chunk) -> ChunkOutcome:
+def failed_outcome(chunk: Chunk) -> ChunkOutcome:
     """Return the outcome of units that killed their worker each time."""
     refusal = PassingRefusal(Verdict.RETEST, reason("worker_died"))
     return ChunkOutcome(tuple(UnitOutcome(task.item_id, task.serial, refusal) for task in chunk.tasks), 0.0)

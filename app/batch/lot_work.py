@@ -18,8 +18,8 @@ from itertools import chain
 from sqlalchemy.exc import SQLAlchemyError
 
 from softcal.app.batch.claims import Claims
-from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
-from softcal.app.batch.guard import PassingRefusal, isolate_units, lost_outcome
+from softcal.app.batch.engine import EngineChoice, WorkerFailure, run_all
+from softcal.app.batch.guard import PassingRefusal, failed_outcome, isolate_units
 from softcal.app.batch.unit_work import (
     Chunk,
     ChunkOutcome,
@@ -150,7 +150,7 @@ class LotWork:
                 work = partial(isolate_units, work_on, self._config.unit_limit_s)
                 shared = SharedWork(self._folder.lot, self._context, self._folder.names)
                 for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
-                    outcome = lost_outcome(answer.item) if isinstance(answer, WorkerLost) else answer
+                    outcome = failed_outcome(answer.item) if isinstance(answer, WorkerFailure) else answer
                     for result in self._store_outcome(claims, outcome):
                         self._callbacks.on_unit(result)
                     self._report_progress(claims)
@@ -201,10 +201,10 @@ class LotWork:
         self._decided.add(serial)
 
     def unit_results(self, serials: Sequence[str]) -> dict[str, UnitResult]:
-        results, lost_outcome = self._registry.pages.unit_statuses(self._lot_id, serials), (plain(NO_RESULT),)
+        results, no_result = self._registry.pages.unit_statuses(self._lot_id, serials), (plain(NO_RESULT),)
         return {
             serial: replace(
-                results.get(serial) or UnitResult(serial, Verdict.RETEST, lost_outcome), is_new=serial in self._new
+                results.get(serial) or UnitResult(serial, Verdict.RETEST, no_result), is_new=serial in self._new
             )
             for serial in serials
         }
@@ -246,7 +246,7 @@ class LotWork:
         if anchors is None and serial in stored.loads:
             loads = {sha256: values(one) for sha256, one in stored.loads[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
-        day_correction = self._context.bridge
+        day_correction = self._context.day_correction
         golden = None if day_correction and day_correction.is_measured else stored.golden.get(serial)
         extra: dict[str, object] = {} if golden is None else {"golden": golden}
         if audit is None and serial in stored.audits:
@@ -348,11 +348,11 @@ def _settings_sha256(lot: Lot, context: LotContext, is_refit: bool) -> str:
         "lot": {name: value for name, value in lot.settings().items() if name != "limit_rmse"},
         "network": networks if len(networks) > 1 else networks[0],
         "method": context.source.method.id,
-        "own": None if context.own is None else asdict(context.own),
+        "own": None if context.own_calibration is None else asdict(context.own_calibration),
         "limit": None if context.limit is None else context.limit.to_json(),
         "line": None if context.line is None else vars(context.line),
         **({} if context.reference is None else {"reference": context.reference.to_json()}),
-        **({} if context.bridge is None else {"golden": context.bridge.sha256}),
+        **({} if context.day_correction is None else {"golden": context.day_correction.sha256}),
         **({"rules": sorted(context.rules)} if context.rules else {}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),

@@ -122,8 +122,8 @@ def table_row(unit: UnitResult) -> list[object]:
     state = unit.state
     if state is None:
         return [unit.serial, unit.verdict, *[None] * 7]
-    own = None if state.scores is None else state.scores.own
-    ratio = None if own is None else own.after_ratio
+    own_scores = None if state.scores is None else state.scores.own
+    ratio = None if own_scores is None else own_scores.after_ratio
     return [unit.serial, unit.verdict, *unit.errors.values(), ratio, state.fit.fit_s, state.fit.family]
 
 

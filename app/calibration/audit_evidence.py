@@ -19,12 +19,12 @@ from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.line_spread import SeenGains, seen_gains
+from softcal.core.unit.line_spread import EstimatedGains, estimate_gains
 from softcal.core.unit.lot_correction import AuditedLine
 from softcal.core.unit.method import CONFIDENCE, Method, ReleaseConfig
 from softcal.core.unit.output_level import load_line
 from softcal.core.unit.state import UnitState
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.db.registry import Registry
 
@@ -37,8 +37,8 @@ class AuditEvidence:
         config: numbers of a release, of the method of the lot's calibrations.
         qualification: whether units may be released, and on which audits.
         samples: reads the residuals of these audits.
-        seen: gains that the lot's audited units read their loads with; None where too few.
-        days: gains of the model's golden units on different days; None where too few.
+        gains: gains that the lot's audited units read their loads with; None where too few.
+        day_gains: gains of the model's golden units on different days; None where too few.
         suspects: audits of the lot that are set aside, by serial, and why.
         lines: how the audited units of the lot read their loads by their maps as they were fitted.
     """
@@ -47,26 +47,30 @@ class AuditEvidence:
     qualification: Qualification
     limit: Limit
     samples: Callable[[], Iterable[AuditedSamples]] = tuple
-    seen: SeenGains | None = None
-    days: SeenGains | None = None
+    gains: EstimatedGains | None = None
+    day_gains: EstimatedGains | None = None
     suspects: Mapping[str, Reason] = field(default_factory=dict)
     lines: Mapping[str, AuditedLine] = field(default_factory=dict)
 
     @cached_property
-    def widening(self) -> Widening:
+    def interval_inflation(self) -> IntervalInflation:
         """What becomes of the intervals of unmeasured units."""
         return (
-            fit_interval_inflation(self.samples(), CONFIDENCE, self.config) if self.qualification.audits else Widening()
+            fit_interval_inflation(self.samples(), CONFIDENCE, self.config)
+            if self.qualification.audits
+            else IntervalInflation()
         )
 
     def day_rmse(self, load_rms: float | None) -> float:
         """Return the error that another day adds to a unit with this RMS load, in the same unit.
         Nine of ten days stay within it, at the promise's confidence (ISO 16269-6).
         """
-        if self.days is None or load_rms is None:
+        if self.day_gains is None or load_rms is None:
             return 0.0
-        factor = tolerance_factor(self.days.count, self.days.count - 1, self.config.risk, self.config.confidence)
-        return factor * self.days.spread * load_rms
+        factor = tolerance_factor(
+            self.day_gains.count, self.day_gains.count - 1, self.config.risk, self.config.confidence
+        )
+        return factor * self.day_gains.spread * load_rms
 
 
 Audited = Mapping[str, tuple[AuditedUnit, datetime, UnitState]]
@@ -131,10 +135,10 @@ class AuditReader:
         lines = {
             serial: AuditedLine(state.audit.fitted_line, state.fit.output_level)
             for serial, (_, _, state) in same_method.items()
-            if state.audit is not None and not state.fit.knowledge.is_anchored
+            if state.audit is not None and not state.fit.correspondence.is_anchored
         }
         samples = partial(self._samples, qualification, lot_id)
-        observed, days = seen_gains(gains, self._config.min_others), self._days(lot, now)
+        observed, days = estimate_gains(gains, self._config.min_others), self._days(lot, now)
         return AuditEvidence(self._config, qualification, limit, samples, observed, days, suspects, lines)
 
     def suspects(self, lot_id: str) -> Mapping[str, Reason]:
@@ -150,7 +154,7 @@ class AuditReader:
         }
         return find_suspect_audits(unconfirmed, self._method)
 
-    def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
+    def _days(self, lot: Lot, now: datetime) -> EstimatedGains | None:
         """Return gains of golden units of this sensor model, one a day, each about its mean."""
         gains: list[float] = []
         since = now - timedelta(days=self._config.lasts_days)
@@ -161,7 +165,7 @@ class AuditReader:
             if lot.sensor_model and models.get(lot_id) == lot.sensor_model:
                 by_day = self._gains_by_day(lot_id, serial, now)
                 gains += [gain / float(np.mean(by_day)) for gain in by_day]
-        return seen_gains(gains, self._config.min_others)
+        return estimate_gains(gains, self._config.min_others)
 
     def _gains_by_day(self, lot_id: str, serial: str, now: datetime) -> list[float]:
         registry, days = self._registry, dict[date, list[float]]()

@@ -21,7 +21,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
-from softcal.core.unit.bridge import Bridge
+from softcal.core.unit.day_correction import DayCorrection
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
@@ -85,8 +85,8 @@ def config_of(network: NetworkEntry) -> NetworkConfig:
         return NetworkConfig()
 
 
-Cross = Callable[[SourceModel, str], Bridge | str]
-"""Source, hash of a golden run → the bridge over it, or why it cannot be crossed."""
+Cross = Callable[[SourceModel, str], DayCorrection | str]
+"""Source, hash of a golden run → the day correction that it gives, or why it gives none."""
 
 
 def read_lot_context(
@@ -95,7 +95,7 @@ def read_lot_context(
     sources: Sequence[SourceModel],
     own_config: NetworkConfig | None = None,
     golden: Iterable[str] = (),
-    day_correction: Bridge | None = None,
+    day_correction: DayCorrection | None = None,
     cross: Cross | None = None,
 ) -> LotContext:
     """Return what a lot's units are calibrated with, as these sources see them.

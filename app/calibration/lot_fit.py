@@ -24,7 +24,7 @@ from softcal.core.maps.synchrony import find_synchrony
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.knowledge import BLIND, SHARED
+from softcal.core.unit.correspondence import BLIND, SHARED
 from softcal.core.unit.lot_fit import LotMap
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.state import UnitState
@@ -226,7 +226,7 @@ class _Lot:
 
     def _may_share(self, state: UnitState) -> bool:
         fit = state.fit
-        is_guessed = fit.knowledge.kind in (BLIND, SHARED) and not fit.knowledge.is_anchored
+        is_guessed = fit.correspondence.kind in (BLIND, SHARED) and not fit.correspondence.is_anchored
         return is_guessed and fit.method.id == self._method.id and self._method.map.family == DEFAULT
 
     def fits(self) -> dict[str, LotFit]:
@@ -283,9 +283,13 @@ class _Lot:
         problem = problems[networks.index(state.fit.network_id)]
         scores = None if state.audit is None else state.audit.scores.own
         unread = str(state.unreadable_audit.values["error"]) if state.unreadable_audit else ""
-        own = None if scores is None else scores.own
+        own_error = None if scores is None else scores.own
         # What is known of its audit stays: it is not trained anew.
-        new = calibrate(replace(problem, own=own, unread_audit=unread, lot_map=lot_map, reference=state.fit.reference))
+        new = calibrate(
+            replace(
+                problem, own_calibration=own_error, unread_audit=unread, lot_map=lot_map, reference=state.fit.reference
+            )
+        )
         seconds = (state.fit.fit_s or 0.0) + time.perf_counter() - start_s
         return replace(new, fit=replace(new.fit, fit_s=seconds), suspect_audit=state.suspect_audit)
 

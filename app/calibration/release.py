@@ -282,16 +282,18 @@ class _Lot:
             if one.limit.stated_rmse == limit_rmse and (among is None or serial in among)
         }
         audited = [s for s in self.states.values() if s.decision.is_audited and s.verdict.is_open]
-        days = {} if evidence.days is None else {s: evidence.day_rmse(one.fit.load_rms) for s, one in units.items()}
+        days = (
+            {} if evidence.day_gains is None else {s: evidence.day_rmse(one.fit.load_rms) for s, one in units.items()}
+        )
         return release_lot(
             {serial: state.fit.forecast.rmse for serial, state in units.items()},
             evidence.qualification,
             evidence.limit,
             evidence.config,
-            widening=evidence.widening,
+            inflation=evidence.interval_inflation,
             min_count=min_passing(self.units - len(open_units) + len(units), len(audited), evidence.config),
-            gains=evidence.seen,
-            days=days,
+            gains=evidence.gains,
+            day_errors=days,
             suspects=evidence.suspects,
             sittings={serial: one.fit.lot_fit.sitting for serial, one in units.items() if one.fit.lot_fit is not None},
             corrected_by=len(correction.lines) if any(one.correction for one in self.states.values()) else 0,

@@ -14,9 +14,9 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import calibrate, nearest
+from softcal.core.unit.day_correction import DayCorrection
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.rules import rules_in_force
 from softcal.core.unit.source_model import SourceModel
@@ -52,9 +52,10 @@ class LotContext:
         sources: each source's recording, its shared network and all that the method in force derives from them; the
             lot's own source first.
         limit: the lot's limit; None derives one from the source's own error.
-        own: how own calibrations are trained on audits, for comparison; None trains none.
-        bridge: the source pressed again in the units' sitting, where a lot folder has that run. Under the load cell
-            it outranks what the registry knows; without, it serves units of which the registry knows no golden run.
+        own_calibration: how own calibrations are trained on audits, for comparison; None trains none.
+        day_correction: the source pressed again in the units' sitting, where a lot folder has that run. Under the load
+            cell it outranks what the registry knows; without, it serves units of which the registry knows no golden
+            run.
         day_corrections: golden runs of recordings in the registry, by hash; in place of one that f
             cannot read, why.
         rules: identities of the installed rules that may hold units back.
@@ -62,11 +63,11 @@ class LotContext:
 
     sources: tuple[SourceModel, ...]
     limit: Limit | None = None
-    own: NetworkConfig | None = None
+    own_calibration: NetworkConfig | None = None
     line: LineSpread | None = None
     reference: Reference | None = None
-    bridge: Bridge | None = None
-    day_corrections: Mapping[str, Bridge | str] = field(default_factory=dict)
+    day_correction: DayCorrection | None = None
+    day_corrections: Mapping[str, DayCorrection | str] = field(default_factory=dict)
     rules: tuple[str, ...] = field(default_factory=rules_in_force)
 
     @property
@@ -85,13 +86,17 @@ class LotContext:
                 check_loads(self.source.source, anchors, "the unit was not calibrated", self.source.method.map.anchors)
             except InputError as error:
                 raise InputError(reason("wrong_loads", error=str(error))) from error
-        day_correction = self.day_corrections.get(inputs.golden.get(recording.sha256, ""), self.bridge)
-        if self.bridge is not None and self.bridge.is_measured:
-            day_correction = self.bridge
+        day_correction = self.day_corrections.get(inputs.golden.get(recording.sha256, ""), self.day_correction)
+        if self.day_correction is not None and self.day_correction.is_measured:
+            day_correction = self.day_correction
         if isinstance(day_correction, str):
             raise InputError(reason("wrong_golden", error=day_correction))
         audit = inputs.audit
-        if audit is not None and isinstance(day_correction, Bridge) and audit.sha256 == day_correction.run_sha256:
+        if (
+            audit is not None
+            and isinstance(day_correction, DayCorrection)
+            and audit.sha256 == day_correction.run_sha256
+        ):
             # What gave the loads of a sitting measures none of its maps.
             audit = None
         networks = {model.network.id for model in self.sources}
@@ -102,7 +107,7 @@ class LotContext:
                 self.limit,
                 anchors,
                 audit,
-                self.own,
+                self.own_calibration,
                 self.line,
                 self.reference,
                 # The golden run is one of the lot's own source: it says nothing of the others.

@@ -22,7 +22,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
 from softcal.core.unit.explanation import contributions
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
-from softcal.core.unit.verdict import Judgement
+from softcal.core.unit.verdict import Assessment
 from softcal.db.registry import Registry
 
 SCRIPT = "plotly.min.js"
@@ -198,7 +198,7 @@ def explanation_json(view: UnitView) -> dict[str, object]:
         "predicted": _verdict_json(decision.predicted),
         "measured": None if decision.measured is None else _verdict_json(decision.measured),
         "reasons": [str(reason) for reason in decision.reasons],
-        "knowledge": str(state.knowledge),
+        "knowledge": str(state.correspondence),
         "method": {"id": fit.method.id, "numbers": dict(fit.method.to_json())},
         "predicted_rmse": forecast.rmse,
         "predicted_interval": [forecast.lower, forecast.upper],
@@ -209,5 +209,5 @@ def explanation_json(view: UnitView) -> dict[str, object]:
     }
 
 
-def _verdict_json(verdict: Judgement) -> dict[str, object]:
+def _verdict_json(verdict: Assessment) -> dict[str, object]:
     return {"verdict": str(verdict.verdict), "reasons": [one.to_json() for one in verdict.reasons]}

@@ -113,10 +113,10 @@ def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple
 
     (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
     """
-    shown_runs = [run for run in runs if channel in run.channels]
-    edges = np.linspace(0.0, max(float(np.max(run.load_N)) for run in shown_runs), BANDS + 1)
+    runs_of_channel = [run for run in runs if channel in run.channels]
+    edges = np.linspace(0.0, max(float(np.max(run.load_N)) for run in runs_of_channel), BANDS + 1)
     total, count = np.zeros((BANDS, 3)), np.zeros((BANDS, 3))
-    for run in shown_runs:
+    for run in runs_of_channel:
         view = run.channels[channel]
         residual = (view.measured - (view.explained if is_after else view.base)) / view.noise
         band = np.clip(np.searchsorted(edges, run.load_N, side="right") - 1, 0, BANDS - 1)
@@ -265,24 +265,26 @@ def compared_figure(runs: Sequence[RunView], channel: str, translate: Translator
 def _over_time(
     runs: Sequence[RunView], channel: str, lines: Callable[[ChannelView], Iterator[_Line]], translate: Translator
 ) -> go.Figure | None:
-    shown_runs = [run for run in runs if channel in run.channels]
-    if not shown_runs:
+    runs_of_channel = [run for run in runs if channel in run.channels]
+    if not runs_of_channel:
         return None
     times, unit = unit_of(channel)
-    titles = [f"{run.name}: {profile_name(run.profile, translate)}" if run.profile else run.name for run in shown_runs]
+    titles = [
+        f"{run.name}: {profile_name(run.profile, translate)}" if run.profile else run.name for run in runs_of_channel
+    ]
     figure = make_subplots(
-        rows=len(shown_runs), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown_runs))
+        rows=len(runs_of_channel), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(runs_of_channel))
     )
-    for row, run in enumerate(shown_runs, start=1):
+    for row, run in enumerate(runs_of_channel, start=1):
         for of, values, colour, at in lines(run.channels[channel]):
             look = {"legendgroup": of, "showlegend": row == 1, "line": {"color": colour, "width": 1}}
             name = translate(f"gap.figure.{of}")
             figure.add_scattergl(x=run.t_s[at], y=times * values[at], name=name, **look, row=row, col=1)
         figure.update_yaxes(title=unit, row=row, col=1)
     # The legend stands below: far from its axis, as the desk would draw it, the title would lie on it.
-    figure.update_xaxes(title=translate("gap.figure.time"), title_standoff=8, row=len(shown_runs), col=1)
-    position = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(shown_runs), "yanchor": "top", "yref": "paper"}
-    return _apply_style(figure, 110 + 150 * len(shown_runs), legend={"orientation": "h", **position})
+    figure.update_xaxes(title=translate("gap.figure.time"), title_standoff=8, row=len(runs_of_channel), col=1)
+    position = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(runs_of_channel), "yanchor": "top", "yref": "paper"}
+    return _apply_style(figure, 110 + 150 * len(runs_of_channel), legend={"orientation": "h", **position})
 
 
 def _thinning_indices(values: Array, max_points: int = MAX_POINTS) -> Indices:

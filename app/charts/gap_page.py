@@ -91,9 +91,9 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, tr
     return document(translate("gap.page.title", serial=serial), parts, STYLE, translate("gap.page.lang"))
 
 
-def drawings(*shown_figures: go.Figure | None) -> str:
+def drawings(*optional_figures: go.Figure | None) -> str:
     """Return figures one below the other, of which those that could not be drawn are left out."""
-    return "".join(svg(figure) for figure in shown_figures if figure is not None)
+    return "".join(svg(figure) for figure in optional_figures if figure is not None)
 
 
 def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], translate: Translator) -> str:

@@ -21,7 +21,7 @@ MAX_VALUES = 300
 """So many of the newest values are shown; limits and rules come from all."""
 
 MAX_REASONS = 8
-MOST_SIGMA = 8.0
+MAX_SIGMA = 8.0
 """So far from the centre a control chart is drawn."""
 
 LEVEL_COLOURS = ("limit", "text", "limit")
@@ -72,10 +72,10 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
     figure = go.Figure()
     # One value far out would squeeze all others: it stands at the edge, with its number.
     lower, centre, upper = process.levels
-    wide = (upper / centre) ** (MOST_SIGMA / 3)
-    drawn = np.clip(values, centre / wide, centre * wide)
-    if np.mean(drawn != values) > MAX_FAR_SHARE:
-        drawn = values
+    wide = (upper / centre) ** (MAX_SIGMA / 3)
+    clipped = np.clip(values, centre / wide, centre * wide)
+    if np.mean(clipped != values) > MAX_FAR_SHARE:
+        clipped = values
     line, marker = {"color": colours.source, "width": 1}, {"color": colours.source, "size": 5}
     hover = f"%{{text}}: %{{customdata:.3g}} {unit}<extra></extra>"
     trace_style = {
@@ -85,13 +85,13 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
         "marker": marker,
         "hovertemplate": hover,
     }
-    figure.add_scatter(x=at[first:], y=drawn[first:], customdata=values[first:], **trace_style)
-    for k in np.flatnonzero(drawn != values).tolist():
+    figure.add_scatter(x=at[first:], y=clipped[first:], customdata=values[first:], **trace_style)
+    for k in np.flatnonzero(clipped != values).tolist():
         if k >= first:
-            mark = "↑" if values[k] > drawn[k] else "↓"
+            mark = "↑" if values[k] > clipped[k] else "↓"
             note_position = {
                 "x": at[k],
-                "y": math.log10(drawn[k]),
+                "y": math.log10(clipped[k]),
                 "xanchor": "right",
                 "xshift": -8,
                 "showarrow": False,
@@ -106,7 +106,7 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
                 rules.setdefault(k, []).append(translate(f"rule.{broken.rule}"))
     text = [f"{names[k]}: {', '.join(rule_names)}" for k, rule_names in rules.items()]
     look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
-    style.dots(figure, [k + 1 for k in rules], [drawn[k] for k in rules], colours.limit, None, 10, **look)
+    style.dots(figure, [k + 1 for k in rules], [clipped[k] for k in rules], colours.limit, None, 10, **look)
     for level, colour, dash in zip((lower, centre, upper), LEVEL_COLOURS, ("dash", "solid", "dash"), strict=True):
         ink = getattr(colours, colour)
         figure.add_hline(level, line={"color": ink, "width": 1.5, "dash": dash})
@@ -115,7 +115,7 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
         figure.add_annotation(text=f"{level:.3g}", font={"color": ink, "size": 12}, showarrow=False, **note_position)
     style.apply_style(figure, colours, translate("chart.order"), f"{translate('column.predicted')} [{unit}]")
     # Of a decade and less every step of it is written, else 1, 2 and 5; without a format Plotly writes 0.06 as 6.
-    step = "D1" if drawn.max() < 10 * drawn.min() else "D2"
+    step = "D1" if clipped.max() < 10 * clipped.min() else "D2"
     figure.update_yaxes(type="log", dtick=step, tickformat=".3~g")
     return figure.update_layout(showlegend=False, margin_t=20)
 

@@ -18,11 +18,11 @@ dt { color: #55606c; font-size: 13px; } dd { margin: 0; font-size: 20px; }
 """
 
 
-def lot_page(view: LotView, units: Sequence[UnitEntry], translate: Translator, made_text: str) -> str:
-    """Return the page of a lot as HTML; `units` are all targets, `made_text` says when and with what."""
+def lot_page(view: LotView, units: Sequence[UnitEntry], translate: Translator, created_text: str) -> str:
+    """Return the page of a lot as HTML; `units` are all targets, `created_text` says when and with what."""
     values = report_values(view, translate)
     listed = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in values.items())
-    head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(made_text)}</p></header>"
+    head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(created_text)}</p></header>"
     sections = [head]
     for part in report_parts(view, units, translate("lot.table"), translate):
         if part.picture:

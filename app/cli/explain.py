@@ -59,6 +59,6 @@ def run(options: argparse.Namespace) -> None:
     write_json(options.json, content)
     if options.json != "-" or options.csv:
         state = view.stored.state
-        print_reasons(f"{options.serial} {state.verdict} ({state.knowledge})", state.decision.reasons)
+        print_reasons(f"{options.serial} {state.verdict} ({state.correspondence})", state.decision.reasons)
         rows = [[name, value] for name, value in contributions(view.stored.state.fit).items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)

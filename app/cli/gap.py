@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 if TYPE_CHECKING:
     from softcal.core.gap.case import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.residual import Shrink
+    from softcal.core.gap.residual import ExplainedFraction
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -133,7 +133,7 @@ def _check(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.diagnose import open_case_or_table
     from softcal.app.gap.simulator import load_simulator, read_runs
-    from softcal.core.gap.diagnosis import check_simulator, checked
+    from softcal.core.gap.diagnosis import check_case, check_simulator
     from softcal.core.gap.experiments import reasons
 
     if options.simulator:
@@ -141,7 +141,7 @@ def _check(options: argparse.Namespace) -> None:
         simulator = load_simulator(options.simulator)
         result = check_simulator(simulator, read_runs(options.case, simulator, table_options(options))[0])
     else:
-        result = checked(open_case_or_table(options.case, _table_readout(options), table_options(options)))
+        result = check_case(open_case_or_table(options.case, _table_readout(options), table_options(options)))
     mistakes, identifiability = result
     record = None if identifiability is None else identifiability.record()
     data = [mistake.record() for mistake in mistakes]
@@ -152,7 +152,7 @@ def _check(options: argparse.Namespace) -> None:
         print("check       repair the recordings and check again; nothing else was judged")
         return
     for kind, is_base in (("base parameters", True), ("causes", False)):
-        identifiable = [each.is_told for each in identifiability.every if each.is_base == is_base]
+        identifiable = [each.is_identifiable for each in identifiability.every if each.is_base == is_base]
         print(f"told        {sum(identifiable)} of {len(identifiable)} {kind}")
     for line in reasons(identifiability):
         print(f"not told    {line}")
@@ -285,12 +285,12 @@ def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
     if diagnosis.verdict == "data":
         print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
         return
-    shrink = diagnosis.shrink
+    explained_fraction = diagnosis.explained_fraction
     print(f"verdict     {diagnosis.verdict}")
     print(f"complete    {diagnosis.list_complete:.2f}: probability that nothing unmodelled is left")
     for channel, gap in diagnosis.gap.items():
         print(f"{channel:<11} {gap.rmse_before:.4g} before, {gap.rmse_after:.4g} after, floor {gap.noise_floor:.4g}")
-    print(f"shrink      {shrink.held_out:.2f} held out{_forecast(shrink)}")
+    print(f"shrink      {explained_fraction.held_out:.2f} held out{_forecast(explained_fraction)}")
     for part, causes in enumerate(diagnosis.chosen, start=1):
         if causes != diagnosis.best.hypothesis.ids:
             print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
@@ -303,14 +303,14 @@ def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
             rows.append([c.effect, c.stage, c.probability, c.shrink, c.alone, c.added, hidden.get(c.effect), values])
         head = ["effect", "stage", "probability", "shrink", "alone", "added", "hidden", "parameters"]
         print_table(head, rows)
-    for fault in diagnosis.places:
+    for fault in diagnosis.locations:
         print(f"where       {fault.stage}, {fault.channel}, {fault.regime}: {fault.share:.0%}  {fault.detail}")
     for name, value in diagnosis.on_bound.items():
         print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
-    for line in () if diagnosis.told is None else reasons(diagnosis.told):
+    for line in () if diagnosis.identifiability is None else reasons(diagnosis.identifiability):
         print(f"not told    {line}")
     if diagnosis.partial is not None:
         effects = " + ".join(diagnosis.partial.effects)
@@ -321,17 +321,17 @@ def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
         for fitted in diagnosis.residual.terms:
             error = f"standard error {fitted.standard_error:.1g} {fitted.term.unit}"
             print(f"empirical   {fitted.term.formula}  ({error})")
-        rest, others = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
+        rest, others = diagnosis.residual.explained_fraction, " + ".join(diagnosis.residual.other_causes)
         share = f"{rest.held_out:.2f} [{rest.low:.2f}, {rest.high:.2f}] held out"
         addition = f", beside {others}, which alone reach {diagnosis.residual.without:.2f}" if others else ""
         print(f"describes   {share}{addition}: a description, no cause; softcal gap apply --empirical adds it")
     if (rmse := diagnosis.calibration) is not None:
         twins = f"base twin {rmse.base:.3g} N, repaired twin {rmse.repaired:.3g} N"
         print(f"calibrates  error of f on run {rmse.run}, by what it was trained on: {twins}, rig {rmse.rig:.3g} N")
-    for channel, noise in diagnosis.named.problem.colour.items():
+    for channel, noise in diagnosis.catalogue_fit.problem.correlation.items():
         print(f"noise       {channel}: {noise.spread:.3g} beside the white noise, fading within {noise.fading_s:.2g} s")
     if options.simulator:
-        for name, prior in diagnosis.model.stated_and_fitted(diagnosis.best).items():
+        for name, prior in diagnosis.model.summarise_priors(diagnosis.best).items():
             print(f"prior       {name} = {prior['mean']:.4g} ± {prior['sd']:.2g}, fitted {prior['fitted']:.4g}")
         return
     if diagnosis.case.missing_channels:
@@ -340,10 +340,12 @@ def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
         print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
-def _forecast(shrink: "Shrink") -> str:
-    if shrink.predicted is None:
+def _forecast(explained_fraction: "ExplainedFraction") -> str:
+    if explained_fraction.predicted is None:
         return "; no forecast: the samples held out contradict it"
-    return f"; forecast {shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
+    return (
+        f"; forecast {explained_fraction.predicted:.2f} [{explained_fraction.low:.2f}, {explained_fraction.high:.2f}]"
+    )
 
 
 def _show(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:

@@ -52,8 +52,9 @@ def _lot(options: argparse.Namespace) -> None:
     word = "nearest" if diagnosis.verdict == "unknown" else "shared"
     for cause in diagnosis.causes:
         print(f"{word:<11} {cause}: probability {diagnosis.probability[cause]:.3g} over the lot")
-    for ids in diagnosis.rivals[1:]:
-        print(f"ambiguous   {' + '.join(diagnosis.rivals[0]) or 'no cause'} / {' + '.join(ids) or 'no cause'}")
+    competing = diagnosis.competing_hypotheses
+    for ids in competing[1:]:
+        print(f"ambiguous   {' + '.join(competing[0]) or 'no cause'} / {' + '.join(ids) or 'no cause'}")
     rows = []
     for member in diagnosis.members:
         causes = " + ".join(member.diagnosis.best.hypothesis.ids) or "no cause"

@@ -20,7 +20,7 @@ from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.state import UnitState
-from softcal.core.unit.trim import as_given_now
+from softcal.core.unit.trim import as_trimmed
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.entries import RecordingEntry, StoredCalibration, UnitResult
 from softcal.db.provenance import Provenance
@@ -216,7 +216,7 @@ class UnitLoader:
         recording = unlabelled(self.registry.recordings.get(fit.recording_sha256))
         if stored.state.trim_in_force is not None:
             # As the unit would give it since its trim.
-            recording = as_given_now(recording, stored.state.fitted.unit_map, stored.state.unit_map)
+            recording = as_trimmed(recording, stored.state.fitted.unit_map, stored.state.unit_map)
         lot = self.registry.lots.get(stored.lot_id)
         entry = self._entry(stored.lot_id, fit.recording_sha256)
         since, proof = (entry.added_at.date(), entry.proof_method) if entry else (stored.made_at.date(), None)

@@ -79,10 +79,10 @@ def run_views(diagnosis: Diagnosis[Any]) -> list["RunView"]:
             continue
         channels = {
             block.channel: ChannelView(
-                problem.measured[block.place],
-                diagnosis.base.predicted[block.place],
-                diagnosis.best.predicted[block.place],
-                problem.floor(block.channel),
+                problem.measured[block.rows],
+                diagnosis.base.predicted[block.rows],
+                diagnosis.best.predicted[block.rows],
+                problem.noise_floor(block.channel),
             )
             for block in problem.blocks
             if block.run == k

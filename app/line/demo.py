@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
+from softcal.app.batch.engine import EngineChoice, WorkerFailure, run_all
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.files.atomic import atomic_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
@@ -145,7 +145,7 @@ def press_simulated_lot(
     with _polled(lambda: (on_share or (lambda share: None))(done_s.value / total_s)):
         lot = serials[0], times, done_s
         for answer in run_all(engine or EngineChoice(), _press_source_or_unit, lot, runs):
-            if isinstance(answer, WorkerLost):
+            if isinstance(answer, WorkerFailure):
                 raise DeviceError(f"unit {answer.item[0]}: the process that pressed it was ended; begin again")
             serial, recorded = answer
             pressed[serial] = recorded

@@ -24,7 +24,7 @@ from softcal.core.quality.gate import (
     quarantined_units,
 )
 from softcal.core.recording import LabelledRecording
-from softcal.core.unit.bridge import make_bridge
+from softcal.core.unit.day_correction import fit_day_correction
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import default_limit
@@ -151,7 +151,7 @@ def check_golden(
     if source is not None:
         # What units are to be fitted to must be readable when they come.
         try:
-            make_bridge(source, recording)
+            fit_day_correction(source, recording)
         except InputError as error:
             reasons = (*reasons, error.reason)
     run = GoldenRun(

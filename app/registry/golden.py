@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from datetime import datetime
 
 from softcal.core.errors import AmbiguousUnit, InputError
-from softcal.core.unit.bridge import Bridge, make_bridge
+from softcal.core.unit.day_correction import DayCorrection, fit_day_correction
 from softcal.core.unit.source_model import SourceModel
 from softcal.db.registry import Registry
 from softcal.db.schema.deadline import MAX_CLOCK_ERROR
@@ -53,10 +53,10 @@ def sources_of(registry: Registry, lot_id: str) -> set[str]:
     return {entry.sha256 for entry in registry.recordings.of_lot(lot_id, kind="source")}
 
 
-def load_day_correction(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge | str:
+def load_day_correction(registry: Registry, model: SourceModel, golden_sha256: str) -> DayCorrection | str:
     """Return a stored golden run in the form for comparison with the units of its sitting, or a refusal."""
     try:
-        return make_bridge(model, registry.recordings.get(golden_sha256))
+        return fit_day_correction(model, registry.recordings.get(golden_sha256))
     except InputError as error:
         return str(error)
 

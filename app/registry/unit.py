@@ -10,9 +10,9 @@ from softcal.core.maps.interface import map_sha256
 from softcal.core.messages.reason import plain
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.correspondence import find_correspondence
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import output_limits
-from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.state import UnitState
@@ -94,7 +94,7 @@ def source_state(source: LabelledRecording, network: Network) -> UnitState:
         family=identity.family,
         map_sha256=map_sha256(identity),
         method=model.method,
-        knowledge=known_by({}, model.method.knowledge),
+        correspondence=find_correspondence({}, model.method.correspondence),
         forecast=ErrorForecast(error, error, error),
         remarks=(plain(REASON),),
         fitted=FittedMap(identity, model.interval, limits),

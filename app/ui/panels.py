@@ -193,13 +193,13 @@ def with_units_in_heads(rows: Sequence[Mapping[str, object]]) -> list[dict[str, 
 
 def _figures(cells: Sequence[object]) -> tuple[str, Sequence[object]]:
     """Return the one unit of a column of quantities and its numbers; else "" and the cells as they are."""
-    found = [QUANTITY.fullmatch(cell) if isinstance(cell, str) else None for cell in cells]
-    units = {one[2] for one in found if one}
-    is_other = any(cell not in ("", EMPTY_CELL, None) and not one for cell, one in zip(cells, found, strict=True))
+    numbers = [QUANTITY.fullmatch(cell) if isinstance(cell, str) else None for cell in cells]
+    units = {one[2] for one in numbers if one}
+    is_other = any(cell not in ("", EMPTY_CELL, None) and not one for cell, one in zip(cells, numbers, strict=True))
     if len(units) != 1 or is_other:
         return "", cells
-    most = max(len(one[1].partition(".")[2]) for one in found if one)
-    return units.pop(), [Figure(float(one[1]) if one else nan, most) for one in found]
+    max_decimals = max(len(one[1].partition(".")[2]) for one in numbers if one)
+    return units.pop(), [Figure(float(one[1]) if one else nan, max_decimals) for one in numbers]
 
 
 def _style_verdicts(cells: Sequence[Mapping[Any, object]], rows: Sequence[Mapping[str, object]]) -> Any:
@@ -211,8 +211,8 @@ def _style_verdicts(cells: Sequence[Mapping[Any, object]], rows: Sequence[Mappin
     if not any(map(any, styles)) and not figures:
         return frame
     formats: Any = {name: f"{{:.{places}f}}" for name, places in figures.items()}
-    drawn = frame.style.format(formats, na_rep=EMPTY_CELL) if formats else frame.style
-    return drawn.apply(lambda _: pd.DataFrame(styles, frame.index, frame.columns), axis=None)
+    styled = frame.style.format(formats, na_rep=EMPTY_CELL) if formats else frame.style
+    return styled.apply(lambda _: pd.DataFrame(styles, frame.index, frame.columns), axis=None)
 
 
 def with_addresses(rows: Sequence[Mapping[str, object]]) -> tuple[list[dict[str, object]], dict[str, Any]]:

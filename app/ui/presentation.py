@@ -101,7 +101,7 @@ def readable() -> None:
     small = f"{section} {{ font-size: 1.5rem !important; padding: 0.4rem 0 0.6rem !important }}"
     # Korean is broken between words, as its readers are used to: else a narrow column stands its words upright.
     cells = "[data-testid=stTable] :is(th, td)"
-    unbroken_words = f"{cells}, {cells} * {{ word-break: keep-all !important }}"
+    word_break_rule = f"{cells}, {cells} * {{ word-break: keep-all !important }}"
     # Streamlit's own words in fields for files are English.
     texts = {
         "button [data-testid=stMarkdownContainer]": translate("choose.files"),
@@ -112,7 +112,7 @@ def readable() -> None:
     fields = {f"[data-testid=stFileUploaderDropzone] {part}": text for part, text in texts.items()}
     files = " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in fields.items())
     chosen_too = f"{chosen} {{ color: {colours().chosen} !important }}"
-    style = f"<style>{unbroken_words} {files} {pale} {small} {chosen_too} {HIDDEN_STYLE}</style>"
+    style = f"<style>{word_break_rule} {files} {pale} {small} {chosen_too} {HIDDEN_STYLE}</style>"
     # With something to draw the script behind every piece of HTML is asked for before those of the page's fields.
     with st.container(key=FIRST):
         st.html(f"{style}<span></span>")

@@ -79,13 +79,13 @@ def _row(found: Diagnosis, sealed: SealedCase, far: list[tuple[float, float, boo
     if found.verdict == "data":
         return hidden, "data", "none", "", ""
     forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in explained_twin(found.best).effects]
-    twin, shrink, what = explained_twin(found.best), found.shrink, ", ".join(forms)
+    twin, shrink, what = explained_twin(found.best), found.explained_fraction, ", ".join(forms)
     if sealed.line == "outside":
         if found.residual is None:
             return hidden, found.verdict, "no empirical term", "", ""
         twin = explained_twin(found.residual.fit, [one.term for one in found.residual.terms])
-        shrink = found.residual.shrink
-        what = "; ".join([*found.residual.beside, *(one.term.formula for one in found.residual.terms)])
+        shrink = found.residual.explained_fraction
+        what = "; ".join([*found.residual.other_causes, *(one.term.formula for one in found.residual.terms)])
     if not twin.effects and not twin.empirical:
         return hidden, found.verdict, "the base alone", "", ""
     got = realised_by(through_file(twin), explained_twin(found.base), sealed)

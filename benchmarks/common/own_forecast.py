@@ -50,7 +50,7 @@ def own_terms(problem: UnitProblem) -> dict[str, float]:
         target,
         chosen.unit_map,
         limits,
-        other_maps(problem.fit, chosen, method, floor=0.0),
+        other_maps(problem.fit, chosen, method, reference_rmse=0.0),
         is_anchored=problem.anchors is not None,
     )
     budget, rows = evidence.budget, method.map.pairs.pairs // 2
@@ -58,7 +58,9 @@ def own_terms(problem: UnitProblem) -> dict[str, float]:
     estimate = evidence.estimate if len(evidence.rows) == len(target.windows) else None
     noise = noise_error(network, target, rows, chosen.unit_map, estimate) ** 2 - noise_error(network, known, rows) ** 2
     # The line spreads loads, not outputs: an own calibration sees the loads.
-    forecast = forecast_error({name: u for name, u in budget.items() if name not in (DAY, LINE)}, evidence.knowledge)
+    forecast = forecast_error(
+        {name: u for name, u in budget.items() if name not in (DAY, LINE)}, evidence.correspondence
+    )
     return {
         "floor": model.held_out_rmse,
         "noise": float(np.sqrt(max(noise, 0.0))),

@@ -20,9 +20,9 @@ from softcal.core.network.network import Network
 from softcal.core.profiles import source_profile, unit_profile
 from softcal.core.simulated_lot import DEPTH_MM, draw_twins
 from softcal.core.twin.simulate import simulate
+from softcal.core.unit.correspondence import find_correspondence
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import LEVELS, Method
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast, Interval, Support
@@ -83,7 +83,7 @@ def state(serial: str, number: int, network_id: str) -> UnitState:
         family=unit_map.family,
         map_sha256=map_sha256(unit_map),
         method=METHOD,
-        knowledge=known_by({}, METHOD.knowledge),
+        correspondence=find_correspondence({}, METHOD.correspondence),
         forecast=ErrorForecast(0.1, 0.05, 0.2),
         fit_s=0.01,
         fitted=FittedMap(unit_map, interval, OutputLimits(-np.inf, np.inf, 100)),

@@ -30,7 +30,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.adjustments import SampleRelease
 from softcal.core.unit.state import UnitState
-from softcal.core.unit.uncertainty import ErrorForecast, Widening
+from softcal.core.unit.uncertainty import ErrorForecast, IntervalInflation
 from softcal.core.unit.verdict import Finding, Limit, Verdict
 from softcal.db.registry import Registry
 
@@ -139,7 +139,7 @@ class PlayedLine:
             is_released=True,
             scale=1.0,
             factor=1.4,
-            widening=Widening(),
+            interval_inflation=IntervalInflation(),
             day_rmse=0.0,
             audits=reason("part.here", audits=10),
             risk=0.1,

@@ -78,7 +78,7 @@ class Case:
         """Forecast error over that forecast for a calibration of its own: what ranks the units; infinite if refused."""
         if self.calibration is None:
             return float("inf")
-        return self.calibration.predicted_rmse / forecast_own(self.own_terms, self.calibration.fit.knowledge.kind)
+        return self.calibration.predicted_rmse / forecast_own(self.own_terms, self.calibration.fit.correspondence.kind)
 
 
 def lot_design(seed: int, faults: tuple[str, ...] = tuple(FAULTS)) -> LotDesign:

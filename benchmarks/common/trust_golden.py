@@ -18,8 +18,8 @@ from common.tables import print_table
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
-from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.day_correction import DayCorrection, fit_day_correction
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
@@ -53,16 +53,20 @@ def fit_source(source: str) -> list[dict[str, float]]:
     recording = taxel(day, source, split(len(day))[0])
     trained = fit_network(recording, NETWORK)
     model = make_source_model(recording, trained.network, trained.validation_rows, method=Method())
-    bridges = {WAYS[0]: None, WAYS[1]: make_bridge(model, golden.unlabelled), WAYS[2]: make_bridge(model, golden)}
-    return [fit_unit(model, bridges, name) for name in taxels(day)[2::EVERY] if name != source]
+    corrections = {
+        WAYS[0]: None,
+        WAYS[1]: fit_day_correction(model, golden.unlabelled),
+        WAYS[2]: fit_day_correction(model, golden),
+    }
+    return [fit_unit(model, corrections, name) for name in taxels(day)[2::EVERY] if name != source]
 
 
-def fit_unit(model: SourceModel, bridges: Mapping[str, Bridge | None], name: str) -> dict[str, float]:
+def fit_unit(model: SourceModel, corrections: Mapping[str, DayCorrection | None], name: str) -> dict[str, float]:
     day = insole("calibration")
     unit, test = taxel(insole("validation_1"), name).unlabelled, taxel(day, name, split(len(day))[1])
     own, told = own_of(name), dict[str, float]()
-    for way, bridge in bridges.items():
-        found = calibrate(UnitProblem(model, unit, bridge=bridge))
+    for way, correction in corrections.items():
+        found = calibrate(UnitProblem(model, unit, day_correction=correction))
         truth = rmse(model.network.evaluate(found.unit_map.apply(test.windows)), test.window_reference)
         told |= {way: truth / own, FORECAST + way: truth / (found.predicted_rmse or np.nan)}
     problem = FitProblem(model.source, model.network, unit)

@@ -24,8 +24,8 @@ from softcal.core.quality.interval_inflation import AuditedSamples
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import DEPTH_MM, LotDesign, draw_twins, simulate_lot
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.day_correction import fit_day_correction
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.evidence import rms_load
 from softcal.core.unit.lot_correction import AuditedLine
@@ -33,7 +33,7 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.output_level import OutputLevel, load_line
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.state import UnitState
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit, default_limit
 
@@ -323,11 +323,11 @@ def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit
             lot.source, trained.network, trained.validation_rows, method=Method()
         )
     model = models[lot.source.sha256]
-    bridge = None if lot.golden is None else make_bridge(model, lot.golden)
+    day_correction = None if lot.golden is None else fit_day_correction(model, lot.golden)
     for unit in lot.units:
         limit = default_limit(lot.source.reference_unit, model.held_out_rmse, model.full_range, model.method.decision)
         agreed = Limit(limit.unit, limit.maximum_rmse)
-        problem = UnitProblem(model, unit.recording, agreed, anchors=unit.anchors, bridge=bridge)
+        problem = UnitProblem(model, unit.recording, agreed, anchors=unit.anchors, day_correction=day_correction)
         yield _fit_unit(lot, problem, unit.audit)
 
 
@@ -355,7 +355,7 @@ def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> Fi
         limit,
         str(predicted.verdict),
         is_vetoed,
-        str(calibration.knowledge),
+        str(calibration.correspondence),
         _load(model, calibration, recording),
         calibration.fit.output_level.rest,
         calibration.fit.output_level.span,
@@ -377,6 +377,6 @@ def _sample(result: Estimate, audit: LabelledRecording, rows: NDArray[np.bool_])
     return tuple(tuple(float(f"{value:.5g}") for value in column) for column in columns)
 
 
-def covered(unit: FittedUnit, widening: Widening = Widening()) -> float:  # noqa: B008 - frozen
+def covered(unit: FittedUnit, inflation: IntervalInflation = IntervalInflation()) -> float:  # noqa: B008 - frozen
     """Return the share of the unit's samples within its interval, widened."""
-    return float(np.mean(unit.samples.ratio(widening) <= 1))
+    return float(np.mean(unit.samples.ratio(inflation) <= 1))

@@ -14,7 +14,7 @@ VERDICTS = ("no_gap", "explained", "explained_in_part", "ambiguous", "unknown", 
 VISIBLE_SIGMA = 5.0
 """A cause that stands out by less after the base is refitted counts as below the noise."""
 
-MIN_NAMED_PROBABILITY = 0.5
+MIN_REPORTED_PROBABILITY = 0.5
 """A cause is named when its stated probability is at least this."""
 
 
@@ -25,7 +25,7 @@ class Answer:
     Args:
         probabilities: stated probability of every effect of the catalogue.
         first: the effect with the highest probability, empty where none is above zero.
-        named_effects: effects with a probability of at least one half.
+        reported_effects: effects with a probability of at least one half.
         groups: sets of effects the report cannot tell apart.
         stages: stages under `where`, the largest share first.
         predicted, low, high: forecast of the shrink and its interval; NaN for none.
@@ -35,7 +35,7 @@ class Answer:
     verdict: str
     probabilities: Mapping[str, float]
     first: str
-    named_effects: frozenset[str]
+    reported_effects: frozenset[str]
     groups: tuple[frozenset[str], ...]
     stages: tuple[str, ...]
     predicted: float
@@ -47,7 +47,7 @@ class Answer:
     def candidates(self) -> frozenset[str]:
         """Effects that the report holds possible: the named, the first, and the ambiguous ones."""
         first = {self.first} if self.first and self.verdict == "ambiguous" else set()
-        candidates = self.named_effects | first
+        candidates = self.reported_effects | first
         return candidates.union(*(group for group in self.groups if group & candidates or not candidates))
 
 
@@ -70,7 +70,7 @@ def read_answer(name: str, report: Mapping[str, Any]) -> Answer:
             verdict=str(report["verdict"]),
             probabilities=probabilities,
             first=first,
-            named_effects=frozenset(effect for effect, p in probabilities.items() if p >= MIN_NAMED_PROBABILITY),
+            reported_effects=frozenset(effect for effect, p in probabilities.items() if p >= MIN_REPORTED_PROBABILITY),
             groups=tuple(frozenset(map(str, group)) for group in report["ambiguous_with"]),
             stages=tuple(str(entry["stage"]) for entry in shares),
             predicted=_number(fraction["predicted"]),
@@ -127,18 +127,18 @@ class CaseScore:
             if answer.verdict != "data" and not is_unit_question:
                 return "wrong"
             channels = set(mistake.channel.split("+")) - {""}
-            is_named = any(
+            is_right_mistake = any(
                 (kind, runs) == (mistake.what, mistake.runs) and channels <= set(channel.split("+"))
                 for kind, channel, runs in answer.data
             )
-            return "right" if is_named else "abstained"
+            return "right" if is_right_mistake else "abstained"
         if answer.verdict == "no_gap":
             return "right" if not case.causes else "missed" if self.is_visible else "below noise"
         if not case.causes:
             # Noise may leave something that has no cause: only a name, or a mistake, is an alarm.
-            return "abstained" if answer.verdict == "unknown" and not answer.named_effects else "alarm"
+            return "abstained" if answer.verdict == "unknown" and not answer.reported_effects else "alarm"
         # Beside a rest a name counts like anywhere: one that is not there is wrong.
-        is_false = answer.verdict in ("unknown", "explained_in_part") and bool(answer.named_effects - truth)
+        is_false = answer.verdict in ("unknown", "explained_in_part") and bool(answer.reported_effects - truth)
         if any(cause.effect not in CATALOGUE for cause in case.causes):
             if answer.verdict in ("unknown", "explained_in_part") and not is_false:
                 return "right"
@@ -146,10 +146,10 @@ class CaseScore:
             return "set" if alias and alias in answer.candidates | {answer.first} else "wrong"
         if is_false:
             return "wrong"
-        if answer.verdict in ("explained", "explained_in_part") and answer.named_effects == truth:
+        if answer.verdict in ("explained", "explained_in_part") and answer.reported_effects == truth:
             return "right"
         if answer.verdict == "ambiguous":
-            if answer.named_effects == truth or (len(truth) == 1 and answer.first in truth):
+            if answer.reported_effects == truth or (len(truth) == 1 and answer.first in truth):
                 return "right"
             if truth <= answer.candidates and len(answer.candidates) <= max(3, len(truth) + 1):
                 return "set"

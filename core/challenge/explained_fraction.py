@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from softcal.core.challenge.answers import MIN_NAMED_PROBABILITY
+from softcal.core.challenge.answers import MIN_REPORTED_PROBABILITY
 from softcal.core.challenge.cases import SealedCase
 from softcal.core.challenge.equations import CATALOGUE_FORM
 from softcal.core.challenge.rig import Cause, Measured, Rig
@@ -72,7 +72,7 @@ def explained_fraction(case: SealedCase, report: Mapping[str, Any]) -> float:
         leaves no gap; 0 where its numbers make no twin.
     """
     parameters_by_effect = {
-        c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= MIN_NAMED_PROBABILITY
+        c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= MIN_REPORTED_PROBABILITY
     }
     if "base" not in report or not parameters_by_effect or any(effect in PER_RUN for effect in parameters_by_effect):
         return float("nan")

@@ -101,7 +101,7 @@ def build_network_file(network: Network, source: LabelledRecording, anchors: Anc
         )
     integers = quantise.quantise_network(network, source.windows)
     stored = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
-    levels = SourceLevels.of(source, anchors)
+    levels = SourceLevels.from_source(source, anchors)
     count = 10.0**stored.output_exponent
     first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
     step = max(1, (last - first) // (len(levels.load) - 1))

@@ -28,7 +28,7 @@ NEEDED: dict[RunKind, tuple[str, ...]] = {
     "dead_weights": ("force_N", "known_force_N"),
     "rest": (),
 }
-SHOWN_BY: dict[ChainStage, str] = {
+CHANNEL_OF_STAGE: dict[ChainStage, str] = {
     "motion": "stage_mm",
     "mechanics": "stage_mm",
     "transduction": "output_V",
@@ -119,7 +119,7 @@ class Run:
         return len(self.t_s)
 
     @property
-    def seen_Hz(self) -> float:
+    def observed_rate_Hz(self) -> float:
         """Sample rate that the time stamps show."""
         return 1.0 / float(np.median(np.diff(self.t_s)))
 
@@ -169,10 +169,10 @@ def straightened(signal: Array, sigma: float, half: int) -> tuple[Array, Array]:
         middle, design = x.mean(), np.column_stack([np.ones(len(x)), x - x.mean()])
         windows = sliding_window_view(signal, len(x))
         lines = windows @ np.linalg.pinv(design).T
-        left = np.sum((windows - lines @ design.T) ** 2, axis=1) / (len(x) - 2)
+        residual_variance = np.sum((windows - lines @ design.T) ** 2, axis=1) / (len(x) - 2)
         at = np.arange(len(windows)) - first
         # A line that leaves more than twice the noise's variance lies across a bend.
-        fits = is_open[at] & (left < 2.0 * sigma**2)
+        fits = is_open[at] & (residual_variance < 2.0 * sigma**2)
         out[at[fits]] = lines[fits, 0] - middle * lines[fits, 1]
         share[at[fits]] = 1.0 / len(x) + middle**2 / np.sum((x - middle) ** 2)
         is_open[at[fits]] = False
@@ -203,10 +203,10 @@ class Case:
         for run in self.runs[1:]:
             # A rate of its own is found where its time stamps are looked at.
             for entry in (f for f in fields(ReadoutMetadata) if f.name != "sample_rate_Hz"):
-                mine, other = getattr(first.readout, entry.name), getattr(run.readout, entry.name)
-                if mine != other:
+                expected, other = getattr(first.readout, entry.name), getattr(run.readout, entry.name)
+                if expected != other:
                     raise InputError(
-                        f"{run.name}: {entry.name} is {other}, but {mine} in {first.name}; "
+                        f"{run.name}: {entry.name} is {other}, but {expected} in {first.name}; "
                         "all runs of a case come from one unit on one rig"
                     )
         for channel in ("stage_mm", "force_N", "output_V"):
@@ -240,7 +240,7 @@ class Case:
     @property
     def unseen_stages(self) -> tuple[ChainStage, ...]:
         """Stages that the recorded channels cannot show at all."""
-        return tuple(stage for stage, channel in SHOWN_BY.items() if not self.has(channel))
+        return tuple(stage for stage, channel in CHANNEL_OF_STAGE.items() if not self.has(channel))
 
     @property
     def missing_channels(self) -> tuple[str, ...]:

@@ -6,9 +6,10 @@ from typing import Any, Generic, Self, TypeAlias, TypeVar
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake
-from softcal.core.gap.empirical import LearnedResidual, learned
+from softcal.core.gap.empirical import LearnedResidual, learn_residual
 from softcal.core.gap.evidence import (
     bounds_reached,
+    competing_hypotheses,
     confused_pairs,
     consistency_of,
     exact_log_evidence,
@@ -19,17 +20,22 @@ from softcal.core.gap.evidence import (
     probabilities,
     ranked_causes,
     rest_energy,
-    rivals,
     weights_of,
 )
-from softcal.core.gap.experiments import Identifiability, NextExperiment, identifiability, reasons, telling_rest
+from softcal.core.gap.experiments import (
+    Identifiability,
+    NextExperiment,
+    identifiability,
+    propose_for_unmodelled,
+    reasons,
+)
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.model import CalibrationGap, DiagnosisVerdict, GapPlace, Model, Partial, RankedCause, Where
+from softcal.core.gap.model import CalibrationGap, DiagnosisVerdict, FaultLocation, Model, Partial, RankedCause, Where
 from softcal.core.gap.places import in_catalogue_form, with_constants
 from softcal.core.gap.residual import (
     ChannelGap,
+    ExplainedFraction,
     Quantified,
-    Shrink,
     gap_of_base,
     held_out_error,
     noise_chance,
@@ -37,7 +43,7 @@ from softcal.core.gap.residual import (
     quantify,
     unsupported,
 )
-from softcal.core.gap.search import Progress, Search, under_its_floor
+from softcal.core.gap.search import Progress, Search, search_under_correlated_noise
 from softcal.core.gap.simulator import Simulator, SimulatorRun, check_calls
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.twin import TWIN, TwinModel
@@ -62,11 +68,11 @@ class Diagnosis(Generic[M]):
         chosen: causes that are chosen where each part of the samples in turn is held back.
         explained_share: of the structured gap energy, 1 when nothing but noise is left.
         best: each cause by the equation that fits best, as it is handed on.
-        named: the best hypothesis with every cause by the equation that is reported.
-        rivals: hypotheses that cannot be told apart, the best first.
+        catalogue_fit: the best hypothesis with every cause by the equation that is reported.
+        competing_hypotheses: hypotheses that cannot be told apart, the best first.
         mistakes: in the recordings; with another verdict than `data` they are questions.
         residual: empirical terms for what no named cause explains, if they hold on runs held back.
-        told: what the runs tell of the base and of every effect; None where there is a mistake.
+        identifiability: what the runs tell of the base and of every effect; None where there is a mistake.
         list_complete: probability that nothing unmodelled is left.
         calibration: what the gap costs a calibration; None where it was not asked for.
         provenance: what made it and from what, as JSON values; None of what was read from no file.
@@ -76,13 +82,13 @@ class Diagnosis(Generic[M]):
     verdict: DiagnosisVerdict
     base: Fit
     best: Fit
-    named: Fit
-    rivals: tuple[Fit, ...]
+    catalogue_fit: Fit
+    competing_hypotheses: tuple[Fit, ...]
     causes: tuple[RankedCause, ...]
     gap: dict[str, ChannelGap]
     next_experiment: NextExperiment
     where: Where = Where()
-    shrink: Shrink = Shrink(0.0, 0.0, 0.0, 0.0)
+    explained_fraction: ExplainedFraction = ExplainedFraction(0.0, 0.0, 0.0, 0.0)
     protocol: str = NOT_MEASURED
     chosen: tuple[tuple[str, ...], ...] = ()
     ambiguous_with: list[list[str]] = field(default_factory=list)
@@ -91,7 +97,7 @@ class Diagnosis(Generic[M]):
     mistakes: tuple[DataMistake, ...] = ()
     partial: Partial | None = None
     residual: LearnedResidual[Any] | None = None
-    told: Identifiability | None = None
+    identifiability: Identifiability | None = None
     list_complete: float = 0.0
     calibration: CalibrationGap | None = None
     provenance: Mapping[str, object] | None = None
@@ -104,8 +110,8 @@ class Diagnosis(Generic[M]):
             verdict="data",
             base=base,
             best=base,
-            named=base,
-            rivals=(base,),
+            catalogue_fit=base,
+            competing_hypotheses=(base,),
             causes=tuple(RankedCause(effect.id, effect.stage, 0.0, None, {}) for effect in model.candidates),
             gap=gap_of_base(base),
             next_experiment=NextExperiment("none", several([one.repair for one in mistakes])),
@@ -113,9 +119,9 @@ class Diagnosis(Generic[M]):
         )
 
     @property
-    def places(self) -> tuple[GapPlace, ...]:
+    def locations(self) -> tuple[FaultLocation, ...]:
         """Where the gap lies."""
-        return self.where.places
+        return self.where.locations
 
     @property
     def on_bound(self) -> dict[str, float]:
@@ -133,17 +139,18 @@ class Diagnosis(Generic[M]):
             "schema": SCHEMA,
             "verdict": self.verdict,
             "serial": self.case.serial,
-            "data": [found.record() for found in self.mistakes],
+            "data": [result.record() for result in self.mistakes],
             "gap": {channel: vars(gap) for channel, gap in self.gap.items()},
-            "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
-            "where": [place.record() for place in self.places],
+            "shrink": vars(self.explained_fraction)
+            | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
+            "where": [location.record() for location in self.locations],
             "causes": [
                 vars(c) | {"form": c.form or None, "parameters": {name: vars(p) for name, p in c.parameters.items()}}
                 for c in self.causes
             ],
             "ambiguous_with": self.ambiguous_with,
             "hidden_fraction": self.hidden_fraction,
-            "identifiability": None if self.told is None else self.told.record(),
+            "identifiability": None if self.identifiability is None else self.identifiability.record(),
             "next_experiment": self.next_experiment.record(),
             "explained_share": self.explained_share,
             "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
@@ -180,9 +187,9 @@ def diagnose_simulator(
     Raises:
         InputError: no run, or the simulator gives something else than finite channels.
     """
-    say = progress or (lambda _: None)
-    say("calling the simulator a few times")
-    return diagnose_with(*_called(simulator, runs, serial), say)
+    on_progress = progress or (lambda _: None)
+    on_progress("calling the simulator a few times")
+    return diagnose_with(*_called(simulator, runs, serial), on_progress)
 
 
 def _called(simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "") -> tuple[SimulatorModel, Case]:
@@ -202,16 +209,16 @@ def check_simulator(simulator: Simulator, runs: Sequence[SimulatorRun]) -> Check
         InputError: as for `diagnose_simulator`.
     """
     model, case = _called(simulator, runs)
-    return checked(case, model)
+    return check_case(case, model)
 
 
-def checked(case: Case, model: Model = TWIN) -> Checked:
+def check_case(case: Case, model: Model = TWIN) -> Checked:
     """Return the mistakes in the recordings and, where there is none, what the runs tell of a model."""
-    if spoilt := model.mistakes(case):
-        return spoilt, None
+    if recording_mistakes := model.mistakes(case):
+        return recording_mistakes, None
     base = model.base_fit(case)
-    spoilt, questions = model.mistakes_by_base(base)
-    return (spoilt, None) if spoilt else (questions, distinguished_by(base))
+    recording_mistakes, questions = model.mistakes_by_base(base)
+    return (recording_mistakes, None) if recording_mistakes else (questions, distinguished_by(base))
 
 
 def distinguished_by(base: Fit) -> Identifiability:
@@ -227,77 +234,85 @@ def diagnose_with(
     on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
 ) -> Diagnosis[M]:
     """Diagnose the gap between a model and recordings."""
-    say = progress or (lambda _: None)
-    say("looking for mistakes in the recordings")
-    if spoilt := model.mistakes(case):
-        return Diagnosis.stopped(model, model.base_beside(case), spoilt)
-    say("fitting the base to all runs")
+    on_progress = progress or (lambda _: None)
+    on_progress("looking for mistakes in the recordings")
+    if recording_mistakes := model.mistakes(case):
+        return Diagnosis.stopped(model, model.base_of_mistaken_case(case), recording_mistakes)
+    on_progress("fitting the base to all runs")
     base = model.base_fit(case)
-    spoilt, questions = model.mistakes_by_base(base)
-    if spoilt:
-        return Diagnosis.stopped(model, base, spoilt)
-    told = distinguished_by(base)
-    for untold in reasons(told):
-        say(str(untold))
+    recording_mistakes, questions = model.mistakes_by_base(base)
+    if recording_mistakes:
+        return Diagnosis.stopped(model, base, recording_mistakes)
+    identifiability = distinguished_by(base)
+    for cause in reasons(identifiability):
+        on_progress(str(cause))
     # What every run may have of its own needs no cause: its equation's error would be named as one.
-    search = Search(base, [e for e in model.visible(case) if e.is_episodic or not told[e.id].is_own], say)
+    search = Search(
+        base,
+        [e for e in model.visible(case) if e.is_episodic or not identifiability[e.id].is_run_nuisance],
+        on_progress,
+    )
     search.run()
-    search = under_its_floor(search)
-    if spoilt := model.mistakes_by_search(search):
-        return Diagnosis.stopped(model, search.base, spoilt)
+    search = search_under_correlated_noise(search)
+    if recording_mistakes := model.mistakes_by_search(search):
+        return Diagnosis.stopped(model, search.base, recording_mistakes)
     if search.unmodelled is None:
-        search.hold_open()
-    judgement = judged(search)
+        search.keep_not_excluded()
+    assessment = assess_search(search)
     if on_fits is not None:
         on_fits(search.fits)
-    best, told_on = judgement.best, with_constants(judgement.best)
-    named, quantified = tuple(map(in_catalogue_form, judgement.group)), judgement.quantified
-    causes = ranked_causes(search, best, model.candidates, named, judgement.chances, quantified.shrink.held_out)
-    where = model.where(search, judgement, causes)
-    say("describing what is left")
+    best, best_with_constants = assessment.best, with_constants(assessment.best)
+    catalogue_fits, quantified = tuple(map(in_catalogue_form, assessment.group)), assessment.quantified
+    causes = ranked_causes(
+        search, best, model.candidates, catalogue_fits, assessment.chances, quantified.explained_fraction.held_out
+    )
+    where = model.where(search, assessment, causes)
+    on_progress("describing what is left")
     terms = list(model.terms(search.base))
-    parents = {"unknown": (search.base, told_on), "no_gap": ()}.get(judgement.verdict, (told_on,))
-    residual = learned(search.base, parents, terms)
+    parents = {"unknown": (search.base, best_with_constants), "no_gap": ()}.get(
+        assessment.verdict, (best_with_constants,)
+    )
+    residual = learn_residual(search.base, parents, terms)
     return Diagnosis(
         model=model,
-        verdict=judgement.verdict,
+        verdict=assessment.verdict,
         base=search.base,
-        best=told_on,
-        named=named[0],
-        rivals=judgement.group,
+        best=best_with_constants,
+        catalogue_fit=catalogue_fits[0],
+        competing_hypotheses=assessment.group,
         causes=causes,
         gap=quantified.gap,
-        next_experiment=model.next_experiment(search, judgement, _telling_rest(search, judgement, residual)),
+        next_experiment=model.next_experiment(search, assessment, _propose_for_residual(search, assessment, residual)),
         where=where,
-        shrink=quantified.shrink,
+        explained_fraction=quantified.explained_fraction,
         protocol=quantified.protocol,
         chosen=quantified.chosen,
-        ambiguous_with=confused_pairs(judgement.group),
-        hidden_fraction={i: hidden_fraction(judgement.group[0], i) for i in judgement.group[0].ids},
+        ambiguous_with=confused_pairs(assessment.group),
+        hidden_fraction={i: hidden_fraction(assessment.group[0], i) for i in assessment.group[0].ids},
         explained_share=search.explained_share(best),
         mistakes=questions,
-        partial=partial_of(search, judgement),
+        partial=partial_of(search, assessment),
         residual=residual,
-        told=told.naming(best.ids),
-        list_complete=judgement.list_complete,
+        identifiability=identifiability.naming(best.ids),
+        list_complete=assessment.list_complete,
     )
 
 
-def _telling_rest(
-    search: Search, judgement: "Judgement", residual: LearnedResidual[Any] | None
+def _propose_for_residual(
+    search: Search, assessment: "Assessment", residual: LearnedResidual[Any] | None
 ) -> NextExperiment | None:
     """Return the run that tells what is left from every cause near to it; None where nothing describes it."""
-    rest, beside = (residual.fit, residual.beside) if residual is not None else (search.unmodelled, ())
-    if rest is None or judgement.verdict not in ("unknown", "explained_in_part"):
+    rest, other_causes = (residual.fit, residual.other_causes) if residual is not None else (search.unmodelled, ())
+    if rest is None or assessment.verdict not in ("unknown", "explained_in_part"):
         return None
-    beside = beside or tuple(i for i in rest.ids if i in {effect.id for effect in search.candidates})
+    other_causes = other_causes or tuple(i for i in rest.ids if i in {effect.id for effect in search.candidates})
     entries = search.model.menu(search.start)
-    proposed = telling_rest(entries, search, rest, beside) if entries else None
+    proposed = propose_for_unmodelled(entries, search, rest, other_causes) if entries else None
     return None if proposed is None or proposed.profile == "none" else proposed
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Assessment:
     """What a search comes to: the one set of causes that every section of a report is of.
 
     Args:
@@ -315,24 +330,26 @@ class Judgement:
     list_complete: float
 
 
-def judged(search: Search) -> Judgement:
+def assess_search(search: Search) -> Assessment:
     """Return the set of causes of a search, the shrink held out, verdict, and chances of effects."""
     model, config = search.model, search.model.method
     effects = [effect.id for effect in model.candidates]
-    search.say("holding back samples from every cause")
+    search.on_progress("holding back samples from every cause")
     # Causes that lower nothing on unseen samples are taken out of the best hypothesis.
-    gone: set[str] = set()
+    rejected: set[str] = set()
     while len(search.best.ids) > 1:
         rest = search.one_less(search.best)
         idle = unsupported(search.best, rest)
         if not idle:
             break
-        gone.add(idle[0])
+        rejected.add(idle[0])
         search.best = rest[idle[0]]
     logs, best = log_evidences(search.fits), search.best
-    group, added = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), gone)
-    doubted = gone | added | set(search.held_open)
-    search.say("measuring the shrink on samples no fit has seen")
+    group, added = on_unseen(
+        competing_hypotheses(search.fits, best, logs, tuple(search.not_excluded.values())), rejected
+    )
+    doubted = rejected | added | set(search.not_excluded)
+    search.on_progress("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, with_constants(best), search.fits.values())
     verdict = _verdict(search, group, quantified)
     every = _presence(search, logs, effects)
@@ -342,17 +359,19 @@ def judged(search: Search) -> Judgement:
     exact = probabilities({f.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
     open_ = {i for f in larger for i in f.ids}.difference(best.ids)
     every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in every.items()}
-    trust = dict.fromkeys(effects if best.ids and not quantified.stands else doubted, config.verdict.imitated_trust)
+    trust = dict.fromkeys(
+        effects if best.ids and not quantified.is_supported else doubted, config.verdict.imitated_trust
+    )
     chances = {i: p * trust.get(i, 1.0) for i, p in every.items()}
     if verdict == "unknown" and search.unmodelled is None:
-        if quantified.stands and any(chances[i] >= model.presence_config.certain for i in best.ids):
+        if quantified.is_supported and any(chances[i] >= model.presence_config.certain for i in best.ids):
             verdict = "explained_in_part"
         elif model.hands_on_closest and (best := closest_set(search)) is not search.best:
-            group, quantified = (best,), quantify(search.base, with_constants(best), is_given=True)
-    if best.ids and not quantified.stands:
+            group, quantified = (best,), quantify(search.base, with_constants(best), is_chosen=True)
+    if best.ids and not quantified.is_supported:
         best, group, quantified = search.base, (search.base,), quantify(search.base, search.base)
     search.best = best
-    return Judgement(best, group, quantified, verdict, chances, _completeness(search, best))
+    return Assessment(best, group, quantified, verdict, chances, _completeness(search, best))
 
 
 def closest_set(search: Search) -> Fit:
@@ -361,25 +380,25 @@ def closest_set(search: Search) -> Fit:
     A few sets are tried, and of the nearest one with a cause more.
     """
     config, every = search.model.method, list(search.fits.values())
-    tried = {f.ids: f for f in (search.best, *sorted(every, key=lambda f: f.chi2)[: config.verdict.most_tried])}
+    fits = {f.ids: f for f in (search.best, *sorted(every, key=lambda f: f.chi2)[: config.verdict.most_tried])}
     for size in {len(f.ids) for f in every}:
         one = min((f for f in every if len(f.ids) == size), key=lambda f: f.chi2)
-        tried[one.ids] = one
-    errors = {ids: held_out_error(search.base, found) for ids, found in tried.items()}
-    nearest = tried[min(errors, key=lambda ids: errors[ids])]
+        fits[one.ids] = one
+    errors = {ids: held_out_error(search.base, result) for ids, result in fits.items()}
+    nearest = fits[min(errors, key=lambda ids: errors[ids])]
     if len(nearest.ids) < config.rival.most_causes:
         for grown in search.grown_from(nearest):
-            search.keep(grown)
-            if (kept := search.fits.get(grown.ids)) is not None:
-                tried[kept.ids], errors[kept.ids] = kept, held_out_error(search.base, kept)
+            search.store(grown)
+            if (stored := search.fits.get(grown.ids)) is not None:
+                fits[stored.ids], errors[stored.ids] = stored, held_out_error(search.base, stored)
     near = min(errors.values()) * (1.0 + config.verdict.near_error)
-    return tried[min((ids for ids, error in errors.items() if error <= near), key=lambda i: (len(i), errors[i]))]
+    return fits[min((ids for ids, error in errors.items() if error <= near), key=lambda i: (len(i), errors[i]))]
 
 
-def _completeness(search: Search, found: Fit) -> float:
-    has_unlisted = search.unmodelled is not None or search.model.is_uneven(found)
-    gap, chance = max(search.base.chi2 - search.base.problem.count, 1.0), noise_chance(found)
-    rest = min(rest_energy(found, chance) / gap, 1.0) if found.ids else 1.0
+def _completeness(search: Search, result: Fit) -> float:
+    has_unlisted = search.unmodelled is not None or search.model.is_uneven(result)
+    gap, chance = max(search.base.chi2 - search.base.problem.count, 1.0), noise_chance(result)
+    rest = min(rest_energy(result, chance) / gap, 1.0) if result.ids else 1.0
     return list_completeness(chance, rest, has_unlisted, search.model.presence_config)
 
 
@@ -389,40 +408,42 @@ def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: It
     Every hypothesis counts by its evidence. In one that leaves a rest a cause may be what imitates a part of it.
     """
     config, chances, rest = search.model.presence_config, dict.fromkeys(effects, 0.0), 0.0
-    known: dict[tuple[str, ...], dict[str, float]] = {(): {}}
+    memo: dict[tuple[str, ...], dict[str, float]] = {(): {}}
     for ids, weight in weights_of(logs).items():
         if weight > config.negligible:
             rest += weight * (1.0 - _completeness(search, search.fits[ids]))
-            for i, chance in _genuine(search, ids, known).items():
+            for i, chance in _genuine_probabilities(search, ids, memo).items():
                 chances[i] += weight * chance
     # What no hypothesis has may hide beside a rest.
     return {i: p + (1.0 - p) * config.hides * rest for i, p in chances.items()}
 
 
-def _genuine(search: Search, ids: tuple[str, ...], known: dict[tuple[str, ...], dict[str, float]]) -> dict[str, float]:
-    """Return how likely each cause of a hypothesis is there and imitates nothing; `known` by hypothesis."""
-    if ids not in known:
-        config, found = search.model.presence_config, search.fits[ids]
-        complete, rest = _completeness(search, found), rest_energy(found, noise_chance(found))
-        own = {i: consistency_of(found, i, rest).genuine_chance(config) for i in ids}
-        here = {i: complete + (1.0 - complete) * chance for i, chance in own.items()}
-        known[ids] = dict(here)
+def _genuine_probabilities(
+    search: Search, ids: tuple[str, ...], memo: dict[tuple[str, ...], dict[str, float]]
+) -> dict[str, float]:
+    """Return how likely each cause of a hypothesis is there and imitates nothing; `memo` by hypothesis."""
+    if ids not in memo:
+        config, result = search.model.presence_config, search.fits[ids]
+        complete, rest = _completeness(search, result), rest_energy(result, noise_chance(result))
+        consistent = {i: consistency_of(result, i, rest).genuine_chance(config) for i in ids}
+        genuine = {i: complete + (1.0 - complete) * chance for i, chance in consistent.items()}
+        memo[ids] = dict(genuine)
         # Beside one that imitates, the others stand as they do without it.
-        for j, smaller in search.one_less(found).items():
-            without = _genuine(search, smaller.ids, known)
-            known[ids] |= {i: max(known[ids][i], (1.0 - here[j]) * without[i]) for i in smaller.ids}
-    return known[ids]
+        for j, smaller in search.one_less(result).items():
+            without = _genuine_probabilities(search, smaller.ids, memo)
+            memo[ids] |= {i: max(memo[ids][i], (1.0 - genuine[j]) * without[i]) for i in smaller.ids}
+    return memo[ids]
 
 
 def _verdict(search: Search, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
     best, base, model = search.best, search.base, search.model
     if search.unmodelled is not None:
         return "unknown"
-    if not best.ids or not quantified.stands:
+    if not best.ids or not quantified.is_supported:
         is_sound = model.is_clean(base) and noise_chance(base) > model.method.floor.chance and not model.is_uneven(base)
         return "no_gap" if is_sound else "unknown"
     is_small = min(
-        search.share(best), quantified.shrink.held_out
+        search.share(best), quantified.explained_fraction.held_out
     ) >= model.method.verdict.down_to_noise and search.is_explained(best)
     if model.is_uneven(best) or not (is_small or noise_chance(best) >= model.method.verdict.doubted_chance):
         return "unknown"

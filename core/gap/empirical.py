@@ -18,7 +18,7 @@ from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, start_coordinates
 from softcal.core.gap.method import GapMethod
 from softcal.core.gap.problem import Problem, rows_of_runs
-from softcal.core.gap.residual import Shrink
+from softcal.core.gap.residual import ExplainedFraction
 from softcal.core.gap.simulator_reach import SimulatorTerm
 from softcal.core.recording import Array
 from softcal.core.twin.empirical_terms import EmpiricalTerm
@@ -44,12 +44,12 @@ class LearnedResidual(Generic[T]):
     """What is left of a gap, described by terms, the largest first.
 
     Args:
-        shrink: of the gap of the base, by causes and terms together, on runs that neither saw.
+        explained_fraction: of the gap of the base, by causes and terms together, on runs that neither saw.
         without: the same by the causes alone.
     """
 
     terms: tuple[LearnedTerm[T], ...]
-    shrink: Shrink
+    explained_fraction: ExplainedFraction
     without: float
     fit: Fit
 
@@ -69,55 +69,55 @@ class LearnedResidual(Generic[T]):
                 }
                 for one in self.terms
             ],
-            "beside": list(self.beside),
-            "shrink": vars(self.shrink),
+            "beside": list(self.other_causes),
+            "shrink": vars(self.explained_fraction),
             "without": self.without,
         }
 
     @property
-    def beside(self) -> tuple[str, ...]:
+    def other_causes(self) -> tuple[str, ...]:
         """The causes the terms stand beside."""
-        own = {one.term.effect.id for one in self.terms}
-        return tuple(i for i in self.fit.ids if i not in own)
+        learned_ids = {one.term.effect.id for one in self.terms}
+        return tuple(i for i in self.fit.ids if i not in learned_ids)
 
 
-def learned(base: Fit, parents: Sequence[Fit], tried: Sequence[T]) -> LearnedResidual[T] | None:
+def learn_residual(base: Fit, parents: Sequence[Fit], empirical_terms: Sequence[T]) -> LearnedResidual[T] | None:
     """Return the terms that describe what is left; None where none holds on samples held back.
 
     Args:
         base: the bare base; the gap is counted from it.
         parents: hypotheses the terms may stand beside, the simplest first.
-        tried: the terms, without their coefficients.
+        empirical_terms: the terms, without their coefficients.
     """
     # A base alone stands for itself, and what belongs to one run says nothing of another.
     parents = [p for k, p in enumerate(parents) if k == 0 or p.ids]
     parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.effects)]
     if all(map(base.problem.model.is_clean, parents)):
         return None
-    choices = [_Choice(parent, tried) for parent in parents]
+    choices = [_Choice(parent, empirical_terms) for parent in parents]
     parent, terms = _chosen(choices, choices[0].all_cells)
-    found, terms = _with_terms(parent, terms, None) if terms else (parent, terms)
+    result, terms = _with_terms(parent, terms, None) if terms else (parent, terms)
     if not terms:
         return None
-    scores, per_fold = _held_out(base, choices)
+    scores, per_fold = _score_held_out(base, choices)
     total, low, high = scores.interval("after", "before")
     of_rest = scores.interval("after", "without")
     if min(total, low, of_rest[1]) <= 0.0:
         return None
     ranked = []
     for term in terms:
-        at = found.hypothesis.place_of(term.effect.id)
+        at = result.hypothesis.index_of(term.effect.id)
         chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
-        fitted = replace(term, coefficient=float(found.coordinates[at]))
-        ranked.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
+        fitted = replace(term, coefficient=float(result.coordinates[at]))
+        ranked.append(LearnedTerm(fitted, _error(result, term.effect.id), float(chosen)))
     without, *_ = scores.interval("without", "before")
-    return LearnedResidual(tuple(ranked), Shrink(total, low, high, total), without, found)
+    return LearnedResidual(tuple(ranked), ExplainedFraction(total, low, high, total), without, result)
 
 
 class _Choice(Generic[T]):
     """Which terms stand beside one parent, by products of derivatives, residual and columns of terms."""
 
-    def __init__(self, parent: Fit, tried: Sequence[T]) -> None:
+    def __init__(self, parent: Fit, terms: Sequence[T]) -> None:
         self.parent = parent
         # Offsets are fitted anew by every prediction; their jumps would drown a small derivative.
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
@@ -127,13 +127,15 @@ class _Choice(Generic[T]):
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
         rows, self._nuisance = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
-            at = np.concatenate([np.arange(b.place.start, b.place.stop) for b in problem.blocks if b.run == run])
-            own = np.array([problem.whitened(row)[at] for row in rows[run]]) if run in rows else np.zeros((0, len(at)))
-            left, size, _ = np.linalg.svd(own.T, full_matrices=False)
-            self._nuisance.append((at, left[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
-        self._own = self._cleared(bare.jacobian[np.any(bare.jacobian != 0.0, axis=1)])
-        orthogonal, self.candidates, columns = np.linalg.qr(self._own.T)[0], list[T](), list[Array]()
-        for term in tried:
+            at = np.concatenate([np.arange(b.rows.start, b.rows.stop) for b in problem.blocks if b.run == run])
+            offsets = (
+                np.array([problem.whitened(row)[at] for row in rows[run]]) if run in rows else np.zeros((0, len(at)))
+            )
+            axes, size, _ = np.linalg.svd(offsets.T, full_matrices=False)
+            self._nuisance.append((at, axes[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
+        self._nuisance_rows = self._cleared(bare.jacobian[np.any(bare.jacobian != 0.0, axis=1)])
+        orthogonal, self.candidates, columns = np.linalg.qr(self._nuisance_rows.T)[0], list[T](), list[Array]()
+        for term in terms:
             # (samples,) derivative of the prediction with respect to a coefficient that is 0.
             effect, step = term.effect, 0.01 * term.effect.parameters[0].usual
             moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
@@ -142,7 +144,7 @@ class _Choice(Generic[T]):
             if energy(rest) > self._config.distinct * max(energy(column[0]), 1e-12):
                 self.candidates.append(term)
                 columns.append(column)
-        self._rows = np.vstack([self._own, *columns, self._cleared(bare.residual[np.newaxis])])
+        self._rows = np.vstack([self._nuisance_rows, *columns, self._cleared(bare.residual[np.newaxis])])
 
     def _cleared(self, rows: Array) -> Array:
         """(k, samples) rows without what the offsets of each run take up."""
@@ -160,8 +162,8 @@ class _Choice(Generic[T]):
     @cached_property
     def _products(self) -> dict[Cell, Array]:
         out: dict[Cell, Array] = {}
-        for cell, place in _places_of(self.parent.problem):
-            rows = self._rows[:, place]
+        for cell, rows_of_cell in _rows_of_cells(self.parent.problem):
+            rows = self._rows[:, rows_of_cell]
             out[cell] = out.get(cell, 0.0) + rows @ rows.T
         return out
 
@@ -171,39 +173,45 @@ class _Choice(Generic[T]):
     def noise(self, cells: frozenset[Cell]) -> float:
         """Return χ² of noise alone on the cells, each sample as often as it is held back."""
         problem, runs = self.parent.problem, self.parent.problem.case.runs
-        held = {k: sum(1 for cell in cells if cell[0] == k) / self._parts for k in range(len(runs))}
-        return len(splits(cells)) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
+        shares = {k: sum(1 for cell in cells if cell[0] == k) / self._parts for k in range(len(runs))}
+        return len(splits(cells)) * sum(len(runs[b.run]) * shares[b.run] for b in problem.blocks)
 
     def forward(self, cells: frozenset[Cell]) -> tuple[list[T], float]:
         """Choose terms on these cells; return them and χ² on parts held back in turn."""
         # Special runs always count for the fit: they calibrate, and are never held back.
         special = [cell for cell in self._products if cell not in self.all_cells]
         parts = splits(cells)
-        folds = [(self._added((*(cells - held), *special)), self._added(held)) for part in parts for held in part]
-        taken: list[int] = []
-        lost, noise = self._lost(folds, taken), self.noise(cells)
+        folds = [
+            (self._added((*(cells - part_cells), *special)), self._added(part_cells))
+            for part in parts
+            for part_cells in part
+        ]
+        chosen: list[int] = []
+        loss, noise = self._held_out_loss(folds, chosen), self.noise(cells)
         config = self._config
-        while folds and len(taken) < config.most:
-            tried = {k: self._lost(folds, [*taken, k]) for k in range(len(self.candidates)) if k not in taken}
-            if not tried:
+        while folds and len(chosen) < config.most:
+            losses = {
+                k: self._held_out_loss(folds, [*chosen, k]) for k in range(len(self.candidates)) if k not in chosen
+            }
+            if not losses:
                 break
-            best = min(tried, key=lambda k: tried[k])
-            if lost - tried[best] <= config.least * max(lost - noise, 0.0) + config.chance * len(parts):
+            best = min(losses, key=lambda k: losses[k])
+            if loss - losses[best] <= config.least * max(loss - noise, 0.0) + config.chance * len(parts):
                 break
-            taken, lost = [*taken, best], tried[best]
-        return [self.candidates[k] for k in taken], lost
+            chosen, loss = [*chosen, best], losses[best]
+        return [self.candidates[k] for k in chosen], loss
 
-    def _lost(self, folds: Sequence[tuple[Array, Array]], taken: Sequence[int]) -> float:
-        own, last = len(self._own), len(self._rows) - 1
-        used = np.array([*range(own), *(own + k for k in taken)], dtype=int)
+    def _held_out_loss(self, folds: Sequence[tuple[Array, Array]], chosen: Sequence[int]) -> float:
+        base_count, last = len(self._nuisance_rows), len(self._rows) - 1
+        columns = np.array([*range(base_count), *(base_count + k for k in chosen)], dtype=int)
         total = 0.0
-        for seen, held in folds:
-            normal = seen[np.ix_(used, used)]
+        for training, validation in folds:
+            normal = training[np.ix_(columns, columns)]
             # A part without contact leaves a direction open; a little damping keeps it where it is.
             damped = normal + np.diag(1e-9 * np.diag(normal) + 1e-12)
-            w = np.append(-np.linalg.solve(damped, seen[used, last]), 1.0)
-            at = np.append(used, last)
-            total += float(w @ held[np.ix_(at, at)] @ w)
+            w = np.append(-np.linalg.solve(damped, training[columns, last]), 1.0)
+            at = np.append(columns, last)
+            total += float(w @ validation[np.ix_(at, at)] @ w)
         return total
 
 
@@ -225,23 +233,26 @@ def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit,
     return best[0], best[1]
 
 
-def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit, list[T]]:
+def _with_terms(parent: Fit, terms: Sequence[T], weight_of_sample: Array | None) -> tuple[Fit, list[T]]:
     """Fit base, causes and terms together; a term within its own error is left out again."""
-    problem, kept = parent.problem if use is None else parent.problem.seeing(use), list(terms)
+    problem, remaining = (
+        parent.problem if weight_of_sample is None else parent.problem.seeing(weight_of_sample),
+        list(terms),
+    )
     while True:
-        effects = [term.effect for term in kept]
-        start = np.append(parent.coordinates, start_coordinates(effects, [[0.0]] * len(kept)))
+        effects = [term.effect for term in remaining]
+        start = np.append(parent.coordinates, start_coordinates(effects, [[0.0]] * len(remaining)))
         fitted = fit(problem, parent.hypothesis.adding(*effects), start, steps=12)
-        sizes = [abs(fitted.coordinates[fitted.hypothesis.place_of(e.id)]) / _error(fitted, e.id) for e in effects]
+        sizes = [abs(fitted.coordinates[fitted.hypothesis.index_of(e.id)]) / _error(fitted, e.id) for e in effects]
         if not sizes or min(sizes) >= problem.method.learn.errors:
-            return fitted, kept
-        kept.pop(int(np.argmin(sizes)))
+            return fitted, remaining
+        remaining.pop(int(np.argmin(sizes)))
 
 
-def _error(found: Fit, effect_id: str) -> float:
-    at = found.hypothesis.place_of(effect_id)
-    worse = max(1.0, float(np.sqrt(found.chi2 / max(found.problem.count, 1))))
-    return max(worse * float(np.sqrt(max(found.covariance[at, at], 0.0))), 1e-300)
+def _error(result: Fit, effect_id: str) -> float:
+    at = result.hypothesis.index_of(effect_id)
+    worse = max(1.0, float(np.sqrt(result.chi2 / max(result.problem.count, 1))))
+    return max(worse * float(np.sqrt(max(result.covariance[at, at], 0.0))), 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,12 +265,12 @@ class _Scores:
     floors: Array
     method: GapMethod
 
-    def shrink(self, of: str, over: str, left_out: int | None = None) -> float:
+    def explained_fraction(self, of: str, over: str, excluded_fold: int | None = None) -> float:
         """1 − Σ(after − floor)/Σ(before − floor) over channels, each in units of its noise."""
-        kept = np.arange(len(self.counts)) != (-1 if left_out is None else left_out)
+        is_included = np.arange(len(self.counts)) != (-1 if excluded_fold is None else excluded_fold)
 
-        def gap(what: str) -> float:
-            mean = self.squares[what][kept].sum(axis=0) / np.maximum(self.counts[kept].sum(axis=0), 1.0)
+        def gap(model: str) -> float:
+            mean = self.squares[model][is_included].sum(axis=0) / np.maximum(self.counts[is_included].sum(axis=0), 1.0)
             return float(np.sum(np.maximum(np.sqrt(mean) - self.floors, 0.0) / self.floors))
 
         before = gap(over)
@@ -267,47 +278,47 @@ class _Scores:
 
     def interval(self, of: str, over: str) -> tuple[float, float, float]:
         """The shrink and its jackknife interval over folds (Efron and Tibshirani 1993, ch. 11)."""
-        n, value = len(self.counts), self.shrink(of, over)
-        each = np.array([self.shrink(of, over, k) for k in range(n)])
+        n, value = len(self.counts), self.explained_fraction(of, over)
+        each = np.array([self.explained_fraction(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
         quantile = float(student.ppf(0.5 + 0.5 * self.method.learn.coverage, max(n - 1, 1)))
         margin = max(self.method.shrink.least_margin, quantile * error)
         return value, value - margin, min(1.0, value + margin)
 
 
-def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[list[T]]]:
+def _score_held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[list[T]]]:
     cells, problem = choices[0].all_cells, base.problem
     runs = sorted({run for run, _ in cells})
     folds = [frozenset(c for c in cells if c[0] == run) for run in runs]
     if len(runs) == 1:
         folds = [frozenset({cell}) for cell in sorted(cells)]
     channels = problem.scored_channels
-    squares = {what: np.zeros((len(folds), len(channels))) for what in ("before", "without", "after")}
-    counts, taken = np.zeros((len(folds), len(channels))), []
-    for k, held in enumerate(folds):
+    squares = {model: np.zeros((len(folds), len(channels))) for model in ("before", "without", "after")}
+    counts, chosen_terms = np.zeros((len(folds), len(channels))), []
+    for k, validation in enumerate(folds):
         unseen = np.zeros(len(base.problem.measured), dtype=np.bool_)
-        for cell, place in _places_of(base.problem):
-            unseen[place] = cell in held
-        seen = (~unseen).astype(np.float64)
-        parent, terms = _chosen(choices, cells - held)
-        before = fit(problem.seeing(seen), base.hypothesis, base.coordinates, steps=6)
+        for cell, rows in _rows_of_cells(base.problem):
+            unseen[rows] = cell in validation
+        training = (~unseen).astype(np.float64)
+        parent, terms = _chosen(choices, cells - validation)
+        before = fit(problem.seeing(training), base.hypothesis, base.coordinates, steps=6)
         without = before
         if parent.ids:
-            without = fit(parent.problem.seeing(seen), parent.hypothesis, parent.coordinates, steps=6)
-        after, terms = _with_terms(without, terms, seen) if terms else (without, terms)
-        taken.append(terms)
+            without = fit(parent.problem.seeing(training), parent.hypothesis, parent.coordinates, steps=6)
+        after, terms = _with_terms(without, terms, training) if terms else (without, terms)
+        chosen_terms.append(terms)
         for block in (b for b in problem.blocks if b.channel in channels):
-            at, hidden = channels.index(block.channel), unseen[block.place]
+            at, hidden = channels.index(block.channel), unseen[block.rows]
             counts[k, at] += np.count_nonzero(hidden)
-            for what, found in (("before", before), ("without", without), ("after", after)):
-                squares[what][k, at] += energy((problem.measured - found.predicted)[block.place][hidden])
-    return _Scores(squares, counts, np.array([problem.floor(c) for c in channels]), problem.method), taken
+            for model, result in (("before", before), ("without", without), ("after", after)):
+                squares[model][k, at] += energy((problem.measured - result.predicted)[block.rows][hidden])
+    return _Scores(squares, counts, np.array([problem.noise_floor(c) for c in channels]), problem.method), chosen_terms
 
 
-def _places_of(problem: Problem) -> Iterator[tuple[Cell, slice]]:
+def _rows_of_cells(problem: Problem) -> Iterator[tuple[Cell, slice]]:
     """Yield the samples of every quarter of every block, with its run and quarter."""
     for block in problem.blocks:
-        samples, parts = np.arange(block.place.start, block.place.stop), problem.method.shrink.parts
+        samples, parts = np.arange(block.rows.start, block.rows.stop), problem.method.shrink.parts
         ends = [part[0] for part in np.array_split(samples, parts)]
-        for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):
+        for quarter, (start, stop) in enumerate(pairwise([*ends, block.rows.stop])):
             yield (block.run, quarter), slice(start, stop)

@@ -14,8 +14,8 @@ import numpy as np
 from softcal.core.gap.case import MenuEntry, Run
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, fit_scale, gram, start_coordinates
-from softcal.core.gap.method import TellingConfig
-from softcal.core.gap.problem import Problem, own_rows
+from softcal.core.gap.method import IdentifiabilityConfig
+from softcal.core.gap.problem import Problem, nuisance_rows
 from softcal.core.messages.reason import Reason, reason, several, with_sentences
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -37,52 +37,56 @@ class NextExperiment:
         return with_sentences(vars(self), "why")
 
 
-def most_telling(
-    entries: Sequence[MenuEntry], rivals: Sequence[Fit], first_name: Reason | None = None
+def propose_experiment(
+    entries: Sequence[MenuEntry], competing: Sequence[Fit], first_name: Reason | None = None
 ) -> NextExperiment:
     """Return the entry that tells most rivals from the first, and does so best per minute.
 
     Args:
         first_name: what the first is called, where it is no set of causes.
     """
-    first, others, enough = rivals[0], rivals[1:], rivals[0].problem.method.telling.enough_sigma
+    first, others, enough = competing[0], competing[1:], competing[0].problem.method.telling.enough_sigma
     candidates: list[tuple[int, float, float, MenuEntry]] = []
     # A larger hypothesis can take the shape of a smaller one.
     pairs = [[(a, b) for a, b in ((first, other), (other, first)) if not set(a.ids) > set(b.ids)] for other in others]
     for experiment in entries:
         distances = [min(_distance(a, b, experiment.run) for a, b in both) for both in pairs]
         parted = [distance for distance in distances if distance >= enough]
-        least = min(parted, default=0.0)
-        candidates.append((len(parted), min(least, 10 * enough) / experiment.minutes, least, experiment))
+        min_separation = min(parted, default=0.0)
+        candidates.append(
+            (len(parted), min(min_separation, 10 * enough) / experiment.minutes, min_separation, experiment)
+        )
     count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
-    causes = causes_of(rivals, first_name)
+    causes = causes_of(competing, first_name)
     if count == 0:
-        remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.effects if e.signs.remedy)
+        remedies = dict.fromkeys(e.signs.remedy for f in competing for e in f.effects if e.signs.remedy)
         remedy = several([Reason.parse(one) for one in remedies] or [Reason("gap.remedy.usual")])
         return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=remedy))
-    why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
+    cause = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
     if count < len(others):
-        why = reason("gap.next.separates_most", **why.values, others=len(others) - count)
-    return NextExperiment(experiment.name, why, distance, experiment.minutes)
+        cause = reason("gap.next.separates_most", **cause.values, others=len(others) - count)
+    return NextExperiment(experiment.name, cause, distance, experiment.minutes)
 
 
-def telling_rest(entries: Sequence[MenuEntry], search: "Search", rest: Fit, beside: Sequence[str]) -> NextExperiment:
+def propose_for_unmodelled(
+    entries: Sequence[MenuEntry], search: "Search", rest: Fit, causes: Sequence[str]
+) -> NextExperiment:
     """Return the entry that tells a rest, by its own law, from the causes that come nearest to it.
 
     Args:
-        rest: a hypothesis of the causes `beside` and of what describes the rest.
+        rest: a hypothesis of the causes `causes` and of what describes the rest.
     """
-    most = rest.problem.method.rival.most
-    larger = [f for f in search.fits.values() if set(f.ids) > set(beside) and len(f.ids) == len(beside) + 1]
-    nearest = sorted(larger, key=lambda found: found.chi2)[:most]
+    max_count = rest.problem.method.rival.most
+    larger = [f for f in search.fits.values() if set(f.ids) > set(causes) and len(f.ids) == len(causes) + 1]
+    nearest = sorted(larger, key=lambda result: result.chi2)[:max_count]
     if not (entries and nearest):
         return NextExperiment("none", Reason("gap.next.no_gap"))
-    return most_telling(entries, (rest, *nearest), Reason("gap.rest"))
+    return propose_experiment(entries, (rest, *nearest), Reason("gap.rest"))
 
 
-def causes_of(rivals: Sequence[Fit], first_name: Reason | None = None) -> Reason:
+def causes_of(competing: Sequence[Fit], first_name: Reason | None = None) -> Reason:
     """Return the causes of hypotheses in words, those of one together."""
-    names = [together(f.ids, "gap.together") for f in rivals]
+    names = [together(f.ids, "gap.together") for f in competing]
     return several(names if first_name is None else [first_name, *names[1:]], "gap.both")
 
 
@@ -91,26 +95,26 @@ def together(effects: Sequence[str], code: str) -> Reason:
     return several([reason("gap.effect", effect=effect) for effect in effects], code)
 
 
-def _distance(mine: Fit, other: Fit, run: Run) -> float:
-    """Return how far `other` stays from `mine` on a new run once `mine` is refitted to it too."""
-    problem = mine.problem.of_run(run)
-    hypothesis = mine.hypothesis.without_episodes()
-    theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates)
-    parted = problem.whitened(theirs - problem.predict(hypothesis, mine.coordinates))
+def _distance(current: Fit, other: Fit, run: Run) -> float:
+    """Return how far `other` stays from `current` on a new run once `current` is refitted to it too."""
+    problem = current.problem.of_run(run)
+    hypothesis = current.hypothesis.without_episodes()
+    predicted = problem.predict(other.hypothesis.without_episodes(), other.coordinates)
+    parted = problem.whitened(predicted - problem.predict(hypothesis, current.coordinates))
     if not np.all(np.isfinite(parted)):
         # A simulator that fails there tells nothing.
         return 0.0
-    jacobian = fit(problem, hypothesis, mine.coordinates, steps=0).jacobian
-    old = gram(mine.jacobian)
+    jacobian = fit(problem, hypothesis, current.coordinates, steps=0).jacobian
+    old = gram(current.jacobian)
     free = np.flatnonzero(np.diag(old) > 0)
     normal = old[np.ix_(free, free)] + gram(jacobian[free])
     slope = jacobian[free] @ parted
-    left = energy(parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
-    return float(np.sqrt(max(left, 0.0)))
+    residual_energy = energy(parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
+    return float(np.sqrt(max(residual_energy, 0.0)))
 
 
 @dataclass(frozen=True)
-class ParameterTold:
+class ParameterIdentifiability:
     """How well these runs tell one parameter of the base, or one cause.
 
     Args:
@@ -132,37 +136,37 @@ class ParameterTold:
     beside: tuple[str, ...] = ()
     by: tuple[str, ...] = ()
     is_named: bool = False
-    config: TellingConfig = field(default=TellingConfig(), repr=False)
+    config: IdentifiabilityConfig = field(default=IdentifiabilityConfig(), repr=False)
 
     @property
-    def is_own(self) -> bool:
+    def is_run_nuisance(self) -> bool:
         """Whether runs may have of their own what this cause would do."""
         return bool(self.offset)
 
     @property
-    def is_told(self) -> bool:
+    def is_identifiable(self) -> bool:
         """Whether it shows, or a change of the usual size would."""
-        return self.is_named or (self.sigma >= self.config.sigma and not self.is_own)
+        return self.is_named or (self.sigma >= self.config.sigma and not self.is_run_nuisance)
 
     def record(self) -> dict[str, object]:
         plain = {name: value for name, value in vars(self).items() if name not in ("config", "is_named")}
-        return plain | {"beside": list(self.beside), "by": list(self.by), "is_told": self.is_told}
+        return plain | {"beside": list(self.beside), "by": list(self.by), "is_told": self.is_identifiable}
 
 
 @dataclass(frozen=True)
 class Identifiability:
     """What the runs tell of every base parameter and cause, and causes that are one to them."""
 
-    every: tuple[ParameterTold, ...]
+    every: tuple[ParameterIdentifiability, ...]
     alike: tuple[tuple[str, str], ...] = ()
 
-    def __getitem__(self, name: str) -> ParameterTold:
+    def __getitem__(self, name: str) -> ParameterIdentifiability:
         return next(one for one in self.every if one.name == name)
 
     @property
-    def untold(self) -> tuple[ParameterTold, ...]:
+    def unidentifiable(self) -> tuple[ParameterIdentifiability, ...]:
         """What these runs do not tell."""
-        return tuple(one for one in self.every if not one.is_told)
+        return tuple(one for one in self.every if not one.is_identifiable)
 
     def naming(self, causes: Sequence[str]) -> "Identifiability":
         """Return the same where a search has named these causes."""
@@ -185,33 +189,36 @@ def identifiability(base: Fit, effects: Sequence[Effect], menu: Sequence[MenuEnt
     """
     # What has no place in time before it is searched shows nothing yet.
     effects = [effect for effect in effects if not effect.is_episodic]
-    here = _Rows.of(base, base.problem, effects)
-    every = [*_of_base(here, base), *_of_causes(here, base, effects)]
+    rows = _Rows.of(base, base.problem, effects)
+    every = [*_identify_base(rows, base), *_identify_causes(rows, base, effects)]
     for entry in sorted(menu, key=lambda entry: entry.minutes):
-        left = [one for one in every if not one.is_told]
-        if not left:
+        missing = [one for one in every if not one.is_identifiable]
+        if not missing:
             break
-        also = [e for e in effects if any(one.name == e.id for one in left)]
-        there = here.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
-        names = {one.name for one in left if there.shows(one.name)}
+        also = [e for e in effects if any(one.name == e.id for one in missing)]
+        extended = rows.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
+        names = {one.name for one in missing if extended.shows(one.name)}
         every = [replace(one, by=(*one.by, entry.name)) if one.name in names else one for one in every]
     pairs = combinations([e.id for e in effects], 2)
-    alike = [pair for pair in pairs if abs(here.cosine(*map(here.cause, pair))) > base.problem.method.telling.alike]
+    alike = [pair for pair in pairs if abs(rows.cosine(*map(rows.cause, pair))) > base.problem.method.telling.alike]
     return Identifiability(tuple(every), tuple(alike))
 
 
-def reasons(found: Identifiability) -> list[Reason]:
+def reasons(identifiable: Identifiability) -> list[Reason]:
     """Return why runs do not tell what they do not tell, a reason for each."""
-    pairs = [[reason("gap.effect", effect=effect) for effect in pair] for pair in found.alike]
-    return [*map(why, found.untold), *(reason("gap.told.alike", one=a, other=b) for a, b in pairs)]
+    pairs = [[reason("gap.effect", effect=effect) for effect in pair] for pair in identifiable.alike]
+    return [
+        *map(explain_unidentifiable, identifiable.unidentifiable),
+        *(reason("gap.told.alike", one=a, other=b) for a, b in pairs),
+    ]
 
 
-def why(one: ParameterTold) -> Reason:
+def explain_unidentifiable(one: ParameterIdentifiability) -> Reason:
     """Return why runs do not tell a parameter or a cause, and which run would."""
     runs = [reason("gap.run", profile=name) for name in one.by]
     cure = reason("gap.told.run", runs=several(runs, "gap.list")) if runs else Reason("gap.told.no_run")
     name = Reason.parse(one.name) if one.is_base else reason("gap.effect", effect=one.name)
-    if one.is_own:
+    if one.is_run_nuisance:
         return reason("gap.told.own", name=name, offset=one.offset, cure=cure)
     if one.beside:
         beside = several([Reason.parse(other) for other in one.beside], "gap.both")
@@ -227,35 +234,37 @@ class _Rows:
 
     Args:
         base: names of the base parameters with a row.
-        own: which rows belong to which kind of offset, (k,) numbers of kinds.
+        nuisance: which rows belong to which kind of offset, (k,) numbers of kinds.
         causes: names of the causes, at the usual and at a smaller size.
         gram: (rows, rows), base, own and causes in this order.
     """
 
     base: tuple[str, ...]
-    own: tuple[int, ...]
+    nuisance: tuple[int, ...]
     causes: tuple[str, ...]
     gram: Array = field(repr=False)
-    config: TellingConfig
+    config: IdentifiabilityConfig
     _inverses: dict[tuple[int, ...], tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, found: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
-        bare, config = fit(problem.bare, found.hypothesis, found.coordinates, steps=0), problem.method.telling
+    def of(cls, result: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
+        bare, config = fit(problem.bare, result.hypothesis, result.coordinates, steps=0), problem.method.telling
         if not np.all(np.isfinite(bare.predicted)):
             return cls((), (), (), np.zeros((0, 0)), config)
-        scales = [fit_scale(problem.scale.sized(p)) for p in found.hypothesis.of_all]
+        scales = [fit_scale(problem.scale.sized(p)) for p in result.hypothesis.of_all]
         rows = [scale * row for scale, row in zip(scales, bare.jacobian, strict=True)]
-        names = [p.name for p in found.hypothesis.of_all]
+        names = [p.name for p in result.hypothesis.of_all]
         telling = [k for k, row in enumerate(rows) if row.any()]
-        own: list[Array] = []
+        nuisance: list[Array] = []
         kinds: tuple[int, ...] = ()
         if len(problem.largest_offsets):
-            own, kinds = own_rows(problem, problem.directions(found.hypothesis, bare.coordinates, bare.predicted, {}))
+            nuisance, kinds = nuisance_rows(
+                problem, problem.directions(result.hypothesis, bare.coordinates, bare.predicted, {})
+            )
         causes = {e.id: _changes(bare, e) for e in effects}
         every = [
             *(rows[k] for k in telling),
-            *map(problem.whitened, own),
+            *map(problem.whitened, nuisance),
             *(row for pair in causes.values() for row in pair),
         ]
         stacked = np.array(every).reshape(len(every), len(bare.residual))
@@ -265,45 +274,45 @@ class _Rows:
         """Return the rows over these runs and a new one, which has offsets of its own."""
         base = tuple(dict.fromkeys((*self.base, *new.base)))
         causes = tuple(c for c in self.causes if c in new.causes)
-        own = (*self.own, *new.own)
-        size = len(base) + len(own) + 2 * len(causes)
+        nuisance = (*self.nuisance, *new.nuisance)
+        size = len(base) + len(nuisance) + 2 * len(causes)
         gram = np.zeros((size, size))
-        for part, skipped in ((self, 0), (new, len(self.own))):
+        for part, skipped in ((self, 0), (new, len(self.nuisance))):
             at = [base.index(name) for name in part.base]
-            at += [len(base) + skipped + k for k in range(len(part.own))]
-            mine = list(range(len(part.base) + len(part.own)))
+            at += [len(base) + skipped + k for k in range(len(part.nuisance))]
+            source_rows = list(range(len(part.base) + len(part.nuisance)))
             for k, name in enumerate(causes):
-                at += [len(base) + len(own) + 2 * k + i for i in (0, 1)]
-                mine += [part.cause(name) + i for i in (0, 1)]
-            gram[np.ix_(at, at)] += part.gram[np.ix_(mine, mine)]
-        return _Rows(base, own, causes, gram, self.config)
+                at += [len(base) + len(nuisance) + 2 * k + i for i in (0, 1)]
+                source_rows += [part.cause(name) + i for i in (0, 1)]
+            gram[np.ix_(at, at)] += part.gram[np.ix_(source_rows, source_rows)]
+        return _Rows(base, nuisance, causes, gram, self.config)
 
     def cause(self, name: str) -> int:
-        return len(self.base) + len(self.own) + 2 * self.causes.index(name)
+        return len(self.base) + len(self.nuisance) + 2 * self.causes.index(name)
 
     @property
     def of_base(self) -> list[int]:
         return list(range(len(self.base)))
 
     @property
-    def held(self) -> list[int]:
+    def base_and_nuisance(self) -> list[int]:
         """Rows of base and offsets."""
-        return list(range(len(self.base) + len(self.own)))
+        return list(range(len(self.base) + len(self.nuisance)))
 
-    def left(self, row: int, held: Sequence[int]) -> float:
+    def residual_energy(self, row: int, others: Sequence[int]) -> float:
         """Return the energy of a row that others do not imitate."""
-        return max(float(self.gram[row, row]) - float(self.gram[row, held] @ self.weights(row, held)), 0.0)
+        return max(float(self.gram[row, row]) - float(self.gram[row, others] @ self.weights(row, others)), 0.0)
 
-    def weights(self, row: int, held: Sequence[int]) -> Array:
+    def weights(self, row: int, others: Sequence[int]) -> Array:
         """Return by what others imitate a row best."""
-        held = tuple(held)
-        if held not in self._inverses:
-            size = np.sqrt(np.diag(self.gram)[list(held)])
+        others = tuple(others)
+        if others not in self._inverses:
+            size = np.sqrt(np.diag(self.gram)[list(others)])
             size = np.where(size > 0.0, size, 1.0)
-            scaled = self.gram[np.ix_(held, held)] / np.outer(size, size)
-            self._inverses[held] = size, np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
-        size, inverse = self._inverses[held]
-        return np.asarray(inverse @ (self.gram[list(held), row] / size) / size)
+            scaled = self.gram[np.ix_(others, others)] / np.outer(size, size)
+            self._inverses[others] = size, np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
+        size, inverse = self._inverses[others]
+        return np.asarray(inverse @ (self.gram[list(others), row] / size) / size)
 
     def shows(self, name: str) -> bool:
         """Whether a base parameter or a cause shows by enough, and is no offset."""
@@ -312,31 +321,34 @@ class _Rows:
         if name not in self.causes:
             return False
         at = self.cause(name)
-        return self.own_share(at) < self.config.own and self.left(at, self.held) >= self.config.sigma**2
+        return (
+            self.nuisance_share(at) < self.config.own
+            and self.residual_energy(at, self.base_and_nuisance) >= self.config.sigma**2
+        )
 
     def sigma_of_base(self, k: int) -> float:
         """Return by how many σ a base parameter shows, 0 where others imitate it to rounding."""
-        left = self.left(k, [i for i in self.held if i != k])
-        return float(np.sqrt(left)) if left > self.config.lost * float(self.gram[k, k]) else 0.0
+        residual = self.residual_energy(k, [i for i in self.base_and_nuisance if i != k])
+        return float(np.sqrt(residual)) if residual > self.config.lost * float(self.gram[k, k]) else 0.0
 
-    def own_share(self, cause: int, kind: int | None = None) -> float:
+    def nuisance_share(self, cause: int, kind: int | None = None) -> float:
         """Return which share of what the base leaves of a cause, at either size, offsets take."""
-        own = [len(self.base) + k for k, of in enumerate(self.own) if kind in (None, of)]
+        nuisance = [len(self.base) + k for k, of in enumerate(self.nuisance) if kind in (None, of)]
         shares = [0.0]
         for row in (cause, cause + 1):
-            seen = self.left(row, self.of_base)
-            if seen > self.config.lost * float(self.gram[row, row]):
-                shares.append(1.0 - self.left(row, [*self.of_base, *own]) / seen)
+            visible = self.residual_energy(row, self.of_base)
+            if visible > self.config.lost * float(self.gram[row, row]):
+                shares.append(1.0 - self.residual_energy(row, [*self.of_base, *nuisance]) / visible)
         return max(shares)
 
     def cosine(self, one: int, other: int) -> float:
         """Return how much alike two rows are beyond what base and offsets imitate."""
-        held = self.held
-        left = [self.left(row, held) for row in (one, other)]
-        if min(left) < self.config.sigma**2:
+        others = self.base_and_nuisance
+        residuals = [self.residual_energy(row, others) for row in (one, other)]
+        if min(residuals) < self.config.sigma**2:
             return 0.0
-        shared = float(self.gram[one, other] - self.gram[one, held] @ self.weights(other, held))
-        return shared / float(np.sqrt(left[0] * left[1]))
+        shared = float(self.gram[one, other] - self.gram[one, others] @ self.weights(other, others))
+        return shared / float(np.sqrt(residuals[0] * residuals[1]))
 
 
 def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
@@ -355,28 +367,28 @@ def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
     return rows[0], rows[1]
 
 
-def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
-    config, out = here.config, []
+def _identify_base(rows: _Rows, base: Fit) -> list[ParameterIdentifiability]:
+    config, out = rows.config, []
     for p in base.hypothesis.of_all:
-        if p.name not in here.base:
-            out.append(ParameterTold(p.name, True, 0.0, 0.0, config=config))
+        if p.name not in rows.base:
+            out.append(ParameterIdentifiability(p.name, True, 0.0, 0.0, config=config))
             continue
-        k = here.base.index(p.name)
-        others = [i for i in range(len(here.base)) if i != k]
-        weights = here.weights(k, others)
-        imitated = here.gram[np.ix_(others, others)].diagonal() * weights**2
-        whole = float(here.gram[k, k])
-        sigma = here.sigma_of_base(k)
-        is_traded = imitated > config.traded * whole
-        beside = tuple(here.base[i] for i, is_in in zip(others, is_traded, strict=True) if is_in)
-        hidden = float(np.clip(1.0 - here.left(k, others) / whole, 0.0, 1.0))
-        beside = beside if sigma < config.sigma else ()
-        out.append(ParameterTold(p.name, True, sigma, hidden, beside=beside, config=config))
+        k = rows.base.index(p.name)
+        others = [i for i in range(len(rows.base)) if i != k]
+        weights = rows.weights(k, others)
+        traded = rows.gram[np.ix_(others, others)].diagonal() * weights**2
+        energy_of_row = float(rows.gram[k, k])
+        sigma = rows.sigma_of_base(k)
+        is_traded = traded > config.traded * energy_of_row
+        others_traded = tuple(rows.base[i] for i, is_in in zip(others, is_traded, strict=True) if is_in)
+        hidden = float(np.clip(1.0 - rows.residual_energy(k, others) / energy_of_row, 0.0, 1.0))
+        others_traded = others_traded if sigma < config.sigma else ()
+        out.append(ParameterIdentifiability(p.name, True, sigma, hidden, beside=others_traded, config=config))
     return out
 
 
-def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect]) -> list[ParameterTold]:
-    config, offsets = here.config, base.problem.model.offset_names
+def _identify_causes(rows: _Rows, base: Fit, effects: Sequence[Effect]) -> list[ParameterIdentifiability]:
+    config, offsets = rows.config, base.problem.model.offset_names
     largest = base.problem.largest_offsets
     # Of each kind of offset, whether it stands on its bound in most runs.
     sizes = np.array(list(base.problem.offset_sizes(base.hypothesis, base.coordinates).values()))
@@ -385,14 +397,14 @@ def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect]) -> list[Parame
         is_full = np.mean(np.abs(sizes) >= config.on_bound * largest, axis=0) > 0.5
     out = []
     for effect in effects:
-        at = here.cause(effect.id)
-        whole, seen = float(here.gram[at, at]), here.left(at, here.of_base)
-        own = here.own_share(at)
-        sigma = float(np.sqrt(here.left(at, here.held)))
-        kind = max(range(len(offsets)), key=lambda k: here.own_share(at, k), default=None)
+        at = rows.cause(effect.id)
+        energy_of_row, visible = float(rows.gram[at, at]), rows.residual_energy(at, rows.of_base)
+        share = rows.nuisance_share(at)
+        sigma = float(np.sqrt(rows.residual_energy(at, rows.base_and_nuisance)))
+        kind = max(range(len(offsets)), key=lambda k: rows.nuisance_share(at, k), default=None)
         # A delay that all runs share, beyond the largest that each may have, is no longer theirs.
-        is_own = kind is not None and own >= config.own and not is_full[kind]
-        offset = offsets[kind] if is_own and kind is not None else ""
-        hidden = float(np.clip(1.0 - seen / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
-        out.append(ParameterTold(effect.id, False, sigma, hidden, own, offset, config=config))
+        is_nuisance = kind is not None and share >= config.own and not is_full[kind]
+        offset = offsets[kind] if is_nuisance and kind is not None else ""
+        hidden = float(np.clip(1.0 - visible / energy_of_row, 0.0, 1.0)) if energy_of_row > 0.0 else 1.0
+        out.append(ParameterIdentifiability(effect.id, False, sigma, hidden, share, offset, config=config))
     return out

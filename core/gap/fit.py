@@ -193,10 +193,10 @@ class _Space:
             outside = (candidate < self.low) | (candidate > self.high)
             candidate = np.clip(candidate, self.low, self.high)
             # What stands on its bound and wants beyond is taken out, and the others are solved again.
-            held = free & outside & (candidate == x)
-            if not held.any():
+            on_bound = free & outside & (candidate == x)
+            if not on_bound.any():
                 break
-            free &= ~held
+            free &= ~on_bound
         return candidate
 
 
@@ -210,7 +210,7 @@ class Probe:
 
 
 @dataclass(frozen=True, eq=False)
-class Lead:
+class Candidate:
     """A probe that would lower χ².
 
     Args:
@@ -225,77 +225,77 @@ class Lead:
     hidden: float
     shift: Array
 
-    def start(self, found: Fit, share: float = 1.0) -> Array:
+    def start(self, result: Fit, share: float = 1.0) -> Array:
         """Return where a fit of the larger hypothesis begins, at a share of the promised size."""
-        _, left = found.hypothesis.without(self.effect.id)
-        kept = (found.coordinates + share * self.shift)[left]
+        _, is_retained = result.hypothesis.without(self.effect.id)
+        retained = (result.coordinates + share * self.shift)[is_retained]
         first = self.effect.parameters[0]
         size = self.values[0] * share if first.neutral == 0.0 else self.values[0] / share
         values = (size, *self.values[1:]) if first.neutral in (0.0, np.inf) and share < 1.0 else self.values
-        return np.concatenate([kept, start_coordinates([self.effect], [values])])
+        return np.concatenate([retained, start_coordinates([self.effect], [values])])
 
 
 class Tangent:
     """The directions in which a fit can move, and how a signature stands to them."""
 
-    def __init__(self, found: Fit, base_only: bool = False) -> None:
-        self._found = found
-        jacobian = found.jacobian
+    def __init__(self, result: Fit, base_only: bool = False) -> None:
+        self._fit = result
+        jacobian = result.jacobian
         normal = gram(jacobian)
         scale = np.sqrt(np.diag(normal))
         if base_only:
-            scale[found.hypothesis.of_base.stop :] = 0.0
+            scale[result.hypothesis.of_base.stop :] = 0.0
         self._rows = np.flatnonzero(scale > 0)
         scale = scale[self._rows]
         strength, axes = np.linalg.eigh(normal[np.ix_(self._rows, self._rows)] / np.outer(scale, scale))
-        keep = strength > 1e-10 * strength.max(initial=0.0)
+        is_significant = strength > 1e-10 * strength.max(initial=0.0)
         # Rows of `turn` times the Jacobian are orthonormal.
-        self._turn = (axes[:, keep] / np.sqrt(strength[keep])).T / scale
+        self._turn = (axes[:, is_significant] / np.sqrt(strength[is_significant])).T / scale
         self._basis = self._turn @ jacobian[self._rows]
-        self._residual = found.residual
+        self._residual = result.residual
 
     @cached_property
     def _around(self) -> Around:
-        return self._found.problem.predict_around(self._found.hypothesis, self._found.coordinates)[1]
+        return self._fit.problem.predict_around(self._fit.hypothesis, self._fit.coordinates)[1]
 
-    def place_of(self, probe: Probe) -> tuple[Hypothesis, Array]:
+    def extended_start(self, probe: Probe) -> tuple[Hypothesis, Array]:
         """Return the hypothesis with a probe, and its coordinates."""
-        x = np.concatenate([self._found.coordinates, start_coordinates([probe.effect], [probe.values])])
-        return self._found.hypothesis.adding(probe.effect), x
+        x = np.concatenate([self._fit.coordinates, start_coordinates([probe.effect], [probe.values])])
+        return self._fit.hypothesis.adding(probe.effect), x
 
     def signature(self, probe: Probe) -> Array:
         """(samples,) change of the whitened prediction when the probe is switched on."""
-        found, (hypothesis, x) = self._found, self.place_of(probe)
-        change = found.problem.whitened(self._around(hypothesis, x) - found.predicted)
+        result, (hypothesis, x) = self._fit, self.extended_start(probe)
+        change = result.problem.whitened(self._around(hypothesis, x) - result.predicted)
         return change if np.all(np.isfinite(change)) else np.zeros(len(change))
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""
         return np.asarray(signature - (self._basis @ signature) @ self._basis)
 
-    def lead(self, probe: Probe) -> Lead | None:
+    def score_candidate(self, probe: Probe) -> Candidate | None:
         """Return what this probe promises, None if it promises nothing."""
         signature = self.signature(probe)
         size = energy(signature)
-        seen = self.visible(signature)
-        power = energy(seen)
+        visible = self.visible(signature)
+        power = energy(visible)
         if power <= 1e-9 * max(size, 1e-30) or power <= 1e-12:
             return None
-        times = float(seen @ self._residual) / power
+        times = float(visible @ self._residual) / power
         if probe.is_one_sided and times <= 0:
             return None
         # The probe is linear for small effects only: begin within a decade of it.
         stretch = float(np.clip(times, -30.0, 30.0))
-        shift = np.zeros(len(self._found.coordinates))
+        shift = np.zeros(len(self._fit.coordinates))
         shift[self._rows] = -stretch * (self._turn.T @ (self._basis @ signature))
-        first, usual = self._found.problem.scale.sized(probe.effect.parameters[0]), probe.values[0]
+        first, usual = self._fit.problem.scale.sized(probe.effect.parameters[0]), probe.values[0]
         if first.scale == "inverse_square":
             value = usual / max(stretch, 1e-3) ** 0.5
         else:
             # A level does not scale with what it cuts off.
             value = usual if first.neutral == np.inf else usual * stretch
         values = (float(np.clip(value, first.low, first.high)), *probe.values[1:])
-        return Lead(probe.effect, values, times**2 * power, 1.0 - power / size, shift)
+        return Candidate(probe.effect, values, times**2 * power, 1.0 - power / size, shift)
 
 
 @dataclass(frozen=True)
@@ -307,10 +307,10 @@ class Structure:
     is_significant: bool
 
 
-def structure(found: Fit, channel: str | None = None) -> Structure:
+def structure(result: Fit, channel: str | None = None) -> Structure:
     """Measure the structure left in the residual of a fit, of one channel or of all."""
-    parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
-    config, largest = found.problem.method.structure, -np.inf
+    parts = [result.residual[b.rows] for b in result.problem.blocks if channel in (None, b.channel)]
+    config, largest = result.problem.method.structure, -np.inf
     for length in config.block_samples:
         # Block sums of white noise keep variance 1 at any length; structure adds up in them.
         sums = [_block_sums(part, length) for part in parts]
@@ -323,8 +323,8 @@ def structure(found: Fit, channel: str | None = None) -> Structure:
 
 
 def _block_sums(values: Array, length: int) -> Array:
-    whole = len(values) // length * length
-    return np.asarray(values[:whole].reshape(-1, length).sum(axis=1) / np.sqrt(length))
+    total = len(values) // length * length
+    return np.asarray(values[:total].reshape(-1, length).sum(axis=1) / np.sqrt(length))
 
 
 @dataclass(frozen=True)
@@ -346,10 +346,10 @@ class Regime:
 
 
 def shares_of_gap(
-    found: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
+    result: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
 ) -> Iterator[tuple[Reason, float, float]]:
     """Yield each condition with its share of the structured energy of these blocks, and of the time."""
-    excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
+    excess = np.concatenate([result.residual[b.rows] ** 2 - 1.0 for b in blocks])
     total = float(excess.sum())
     # Within four standard errors of the sum of squares there is no gap to divide.
     if total > 4 * np.sqrt(2 * len(excess)):
@@ -360,7 +360,7 @@ def shares_of_gap(
                 yield name, float(excess[members].sum()) / total, time_share
 
 
-def form_of(found: Fit, effect: Effect) -> str:
+def form_of(result: Fit, effect: Effect) -> str:
     """Return the form by which an effect of a fit acts, empty for the list's own equation."""
-    names = (form.effect.equation for form in found.problem.model.forms_of(effect.id))
+    names = (form.effect.equation for form in result.problem.model.forms_of(effect.id))
     return effect.equation if effect.equation in names else ""

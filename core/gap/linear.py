@@ -32,7 +32,7 @@ DIFFERENCE = 2e-4
 class Prior:
     """What is known of a base parameter before any run: which one, its mean and SD in coordinates of the fit."""
 
-    place: int
+    index: int
     mean: float
     sd: float
 
@@ -93,11 +93,11 @@ class RigScale:
         """Read force and stroke off the runs that are pressed, the others off the metadata."""
         spans = {}
         for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):
-            reach = max((float(np.ptp(v)) for v in case.recorded(channel)), default=0.0)
-            spans[unit] = reach / COMMON[unit] or None
+            span = max((float(np.ptp(v)) for v in case.recorded(channel)), default=0.0)
+            spans[unit] = span / COMMON[unit] or None
         # Without a cell, or without a stage, the pad is as stiff as the common one.
-        known = [size for size in spans.values() if size]
-        common = known[0] if known else 1.0
+        positive_sizes = [size for size in spans.values() if size]
+        common = positive_sizes[0] if positive_sizes else 1.0
         readout = case.readout
         sizes = {unit: size or common for unit, size in spans.items()}
         sizes |= {"ohm": readout.r_series_ohm / COMMON["ohm"], "V": readout.vref_V / COMMON["V"]}
@@ -136,16 +136,20 @@ def energy(vector: Array) -> float:
     return float(vector @ vector)
 
 
-def projected(rows: Sequence[Array], held: Array) -> Array:
+def projected(rows: Sequence[Array], subspace: Array) -> Array:
     """Return (k, n) orthonormal rows that span what others, (m, n), leave of these."""
-    away = orthonormal(np.asarray(held))
-    left = [row - (away @ row) @ away for row in rows] if len(away) else list(rows)
+    away = orthonormal(np.asarray(subspace))
+    residuals = [row - (away @ row) @ away for row in rows] if len(away) else list(rows)
     # What the fit imitates to a ten-thousandth of its energy is rounding.
-    stand = [row for row, whole in zip(left, rows, strict=True) if float(row @ row) > 1e-4 * float(whole @ whole) > 0.0]
+    stand = [
+        row
+        for row, row_before in zip(residuals, rows, strict=True)
+        if float(row @ row) > 1e-4 * float(row_before @ row_before) > 0.0
+    ]
     return orthonormal(np.array(stand))
 
 
-def orthonormal(rows: Array, least: float = 1e-6) -> Array:
+def orthonormal(rows: Array, min_strength: float = 1e-6) -> Array:
     """Return (k, n) orthonormal rows that span rows, but for those whose share of the strongest is least."""
     if not len(rows):
         return np.zeros((0, 0))
@@ -154,8 +158,8 @@ def orthonormal(rows: Array, least: float = 1e-6) -> Array:
     if not len(unit):
         return np.zeros((0, rows.shape[1]))
     strength, axes = np.linalg.eigh(unit @ unit.T)
-    keep = strength > least * strength[-1]
-    return np.asarray((axes[:, keep] / np.sqrt(strength[keep])).T @ unit)
+    is_strong = strength > min_strength * strength[-1]
+    return np.asarray((axes[:, is_strong] / np.sqrt(strength[is_strong])).T @ unit)
 
 
 def bounded_sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
@@ -164,14 +168,14 @@ def bounded_sizes(normal: Array, slope: Array, has: Array, largest: Array, are_r
     Of those that are relative the middle run is taken off: one far off must not move the others.
     """
     strength = np.diagonal(normal, axis1=1, axis2=2)
-    is_shown = strength > 0.0
-    scale = np.sqrt(np.where(is_shown, strength, 1.0))
+    is_determined = strength > 0.0
+    scale = np.sqrt(np.where(is_determined, strength, 1.0))
     # The ridge divides what two directions that look alike share among both.
     alike = normal / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) + 1e-6 * np.eye(slope.shape[1])
     free = np.linalg.solve(alike, (slope / scale)[..., np.newaxis])[..., 0] / scale + has
-    for i in np.flatnonzero(are_relative & is_shown.any(axis=0)):
-        sizes = np.sort(free[is_shown[:, i], i])
-        free[is_shown[:, i], i] -= 0.5 * (sizes[(len(sizes) - 1) // 2] + sizes[len(sizes) // 2])
+    for i in np.flatnonzero(are_relative & is_determined.any(axis=0)):
+        sizes = np.sort(free[is_determined[:, i], i])
+        free[is_determined[:, i], i] -= 0.5 * (sizes[(len(sizes) - 1) // 2] + sizes[len(sizes) // 2])
     return np.asarray(np.clip(free, -largest, largest) - has)
 
 
@@ -180,7 +184,7 @@ COMMON_STEP_s = 0.02
 
 
 @dataclass(frozen=True)
-class Colour:
+class NoiseCorrelation:
     """The part of a channel's noise that fades: its SD, and the time to a correlation of 1/e."""
 
     spread: float
@@ -188,17 +192,17 @@ class Colour:
 
     def slow_variance(self, step_s: float) -> float:
         """Return the variance of white noise that is as strong as this one near zero frequency."""
-        keep = float(np.exp(-step_s / self.fading_s))
-        return float(self.spread**2 * (1.0 + keep) / (1.0 - keep))
+        decay = float(np.exp(-step_s / self.fading_s))
+        return float(self.spread**2 * (1.0 + decay) / (1.0 - decay))
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A residual of one channel of one run, or a part: (n,) each; `use` is 1 where a sample counts."""
+    """A residual of one channel of one run, or a part: (n,) each; `is_used` is 1 where a sample counts."""
 
     error: Array
     step_s: Array
-    use: Array
+    is_used: Array
 
 
 @dataclass(frozen=True)
@@ -206,16 +210,16 @@ class Noise:
     """White and fading noise of one channel; `gain` is log likelihood above white noise alone."""
 
     white: float
-    colour: Colour
+    correlation: NoiseCorrelation
     log_likelihood: float
     gain: float
 
 
-def log_likelihood(stretches: Sequence[Stretch], white: float, colour: Colour) -> float:
+def log_likelihood(stretches: Sequence[Stretch], white: float, correlation: NoiseCorrelation) -> float:
     """Return the log likelihood of stretches under noise that is given."""
-    error, step_s, use = joined(stretches)
-    squares, log_det = noise_terms(error, step_s, use, colour.spread / white, colour.fading_s)
-    return -0.5 * (squares / white**2 + log_det + float(use.sum()) * 2.0 * float(np.log(white)))
+    error, step_s, is_used = joined(stretches)
+    squares, log_det = noise_terms(error, step_s, is_used, correlation.spread / white, correlation.fading_s)
+    return -0.5 * (squares / white**2 + log_det + float(is_used.sum()) * 2.0 * float(np.log(white)))
 
 
 def joined(stretches: Sequence[Stretch]) -> tuple[Array, Array, Array]:
@@ -224,27 +228,27 @@ def joined(stretches: Sequence[Stretch]) -> tuple[Array, Array, Array]:
     return (
         np.concatenate([s.error for s in stretches]),
         np.concatenate(steps),
-        np.concatenate([s.use for s in stretches]),
+        np.concatenate([s.is_used for s in stretches]),
     )
 
 
-def noise_terms(error: Array, step_s: Array, use: Array, ratio: float, fading_s: float) -> tuple[float, float]:
+def noise_terms(error: Array, step_s: Array, is_used: Array, ratio: float, fading_s: float) -> tuple[float, float]:
     """Return Σ e²/S and Σ ln S of innovations; white noise has variance 1, the other `ratio`²."""
-    steps = filter_of(np.ones(len(error)), use, step_s, ratio, fading_s)
-    return energy(filtered(error, steps)), -2.0 * float(np.sum(np.log(steps[2][use > 0.0])))
+    steps = filter_of(np.ones(len(error)), is_used, step_s, ratio, fading_s)
+    return energy(filtered(error, steps)), -2.0 * float(np.sum(np.log(steps[2][is_used > 0.0])))
 
 
 @compiled
-def filter_of(noise: Array, use: Array, step_s: Array, spread: float, fading_s: float) -> Array:
+def filter_of(noise: Array, is_used: Array, step_s: Array, spread: float, fading_s: float) -> Array:
     """Return (3, n): what the filter keeps of its state, takes of an innovation, divides it by."""
     out = np.zeros((3, len(noise)))
     variance = spread * spread
     for k in range(len(noise)):
-        keep = np.exp(-step_s[k] / fading_s) if k > 0 else 0.0
+        decay = np.exp(-step_s[k] / fading_s) if k > 0 else 0.0
         if k > 0:
-            variance = keep * keep * variance + spread * spread * (1.0 - keep * keep)
-        out[0, k] = keep
-        if use[k] > 0.0:
+            variance = decay * decay * variance + spread * spread * (1.0 - decay * decay)
+        out[0, k] = decay
+        if is_used[k] > 0.0:
             total = variance + noise[k] * noise[k]
             out[1, k], out[2, k] = variance / total, 1.0 / np.sqrt(total)
             variance -= variance * variance / total

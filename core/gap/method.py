@@ -99,7 +99,7 @@ class StructureConfig:
 
 
 @dataclass(frozen=True)
-class PlaceConfig:
+class FaultLocationConfig:
     """Which stage the gap sits in (`places.py`)."""
 
     chance: float = setting(1e-6)  # how seldom white noise may show a tone in one run.
@@ -125,7 +125,7 @@ class PlaceConfig:
 
 
 @dataclass(frozen=True)
-class ColourConfig:
+class NoiseCorrelationConfig:
     """How noise is read from a residual."""
 
     # shortest_s, longest_s: fading times that are told from white noise and from a drift. Load cells filter over
@@ -138,14 +138,14 @@ class ColourConfig:
     # log likelihood to be gained by a fading part; two parameters pay ln(n) ≈ 9 at n = 8,000.
     gain: float = setting(12.0)
 
-    def slower(self, times: float) -> "ColourConfig":
+    def slower(self, times: float) -> "NoiseCorrelationConfig":
         """Return the same for a rig that is so many times slower than a common one."""
         fading_s = tuple(times * tau_s for tau_s in self.fading_s)
         return replace(self, shortest_s=times * self.shortest_s, longest_s=times * self.longest_s, fading_s=fading_s)
 
 
 @dataclass(frozen=True)
-class FloorConfig:
+class NoiseFloorConfig:
     """When what is left counts as noise (`residual.py`)."""
 
     # log likelihood that noise of its own at rest and under load may gain over the same in both: two numbers more
@@ -227,7 +227,7 @@ class EvidenceConfig:
 
 
 @dataclass(frozen=True)
-class RivalConfig:
+class CompetingHypothesesConfig:
     """Which hypotheses the evidence cannot rule out (`evidence.py`, `lot_diagnosis.py`), in log odds."""
 
     odds: float = setting(5.0)  # a hypothesis so near to the best (ΔBIC < 10) is a rival: weak evidence.
@@ -259,7 +259,7 @@ class UnmodelledConfig:
 
 
 @dataclass(frozen=True)
-class ShrinkConfig:
+class ExplainedFractionConfig:
     """Samples held back (`residual.py`, `empirical.py`)."""
 
     parts: int = setting(4)  # contiguous parts, or interleaved stretches, of every run that are held back.
@@ -293,7 +293,7 @@ class LearnConfig:
 
 
 @dataclass(frozen=True)
-class TellingConfig:
+class IdentifiabilityConfig:
     """When runs tell a parameter or a cause (`experiments.py`)."""
 
     sigma: float = setting(5.0)  # standard deviations by which a change of the usual size must show.
@@ -376,18 +376,18 @@ class GapMethod(NumberedMethod):
     outlier: OutlierConfig = field(default_factory=OutlierConfig)
     offset: OffsetConfig = field(default_factory=OffsetConfig)
     structure: StructureConfig = field(default_factory=StructureConfig)
-    place: PlaceConfig = field(default_factory=PlaceConfig)
-    colour: ColourConfig = field(default_factory=ColourConfig)
-    floor: FloorConfig = field(default_factory=FloorConfig)
+    place: FaultLocationConfig = field(default_factory=FaultLocationConfig)
+    colour: NoiseCorrelationConfig = field(default_factory=NoiseCorrelationConfig)
+    floor: NoiseFloorConfig = field(default_factory=NoiseFloorConfig)
     episode: EpisodeConfig = field(default_factory=EpisodeConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     simulator_search: SearchConfig = field(default_factory=lambda: SearchConfig(leads=(8, 5), beam=(3,)))
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
-    rival: RivalConfig = field(default_factory=RivalConfig)
+    rival: CompetingHypothesesConfig = field(default_factory=CompetingHypothesesConfig)
     unmodelled: UnmodelledConfig = field(default_factory=UnmodelledConfig)
-    shrink: ShrinkConfig = field(default_factory=ShrinkConfig)
+    shrink: ExplainedFractionConfig = field(default_factory=ExplainedFractionConfig)
     learn: LearnConfig = field(default_factory=LearnConfig)
-    telling: TellingConfig = field(default_factory=TellingConfig)
+    telling: IdentifiabilityConfig = field(default_factory=IdentifiabilityConfig)
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
     presence: PresenceConfig = field(default_factory=PresenceConfig)
     # A foreign list is short: a small rest is another law far more often than in the catalogue. Its numbers were chosen

@@ -71,26 +71,26 @@ def mistakes(case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
         _strays,
         _runs_exchanged,
         _directions,
-        _warmths,
-        _against_stated,
+        _check_temperatures,
+        _check_stated_stiffness,
         _runs_apart,
     ):
-        found = tuple(look(case, config))
-        if found:
-            return found
+        result = tuple(look(case, config))
+        if result:
+            return result
     return ()
 
 
-def doubts(case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
+def suspect_units(case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
     """Return units that would make an unusual pad of a case a usual one: questions, no findings."""
     size = _size(case)
-    if case.stiffness_N_mm is not None or not size.is_odd(config):
+    if case.stiffness_N_mm is not None or not size.is_implausible(config):
         return ()
     fitting = []
     for channel, unit, factor in EVERY_UNIT:
         repaired = size.with_unit(channel, factor)
         oddness = repaired.oddness(config)
-        if not repaired.is_odd(config) and oddness < np.log(config.near_usual):
+        if not repaired.is_implausible(config) and oddness < np.log(config.near_usual):
             # Stages are told to go at round speeds, which speaks for a unit of theirs.
             speed = repaired.speed_mm_s if channel == "stage" else None
             is_round = speed is not None and abs(float(f"{speed:.1e}") / speed - 1.0) < 2e-3
@@ -133,15 +133,15 @@ def _channels(run: Run) -> dict[str, Array]:
 
 @_in_runs
 def _rates(run: Run, _: MistakeConfig) -> Iterator[DataMistake]:
-    stated_Hz, ratio = run.readout.sample_rate_Hz, run.seen_Hz / run.readout.sample_rate_Hz
+    stated_Hz, ratio = run.readout.sample_rate_Hz, run.observed_rate_Hz / run.readout.sample_rate_Hz
     if abs(ratio - 1.0) <= RATE_TOLERANCE:
         return
-    evidence = reason("data.rate", seen=run.seen_Hz, stated=stated_Hz)
+    evidence = reason("data.rate", seen=run.observed_rate_Hz, stated=stated_Hz)
     unit = next((u for u, s in TIME_UNITS.items() if abs(ratio / s - 1.0) <= RATE_TOLERANCE), None)
     if unit is not None:
         yield of_unit("time", (), unit, TIME_UNITS[unit], evidence)
     else:
-        yield DataMistake("rate", "time", (), ratio, evidence, reason("data.repair.rate", seen=run.seen_Hz))
+        yield DataMistake("rate", "time", (), ratio, evidence, reason("data.repair.rate", seen=run.observed_rate_Hz))
 
 
 @_in_runs
@@ -219,8 +219,8 @@ def _strays(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
     """Single samples of a position or force far beyond all others."""
     for name, values in _channels(run).items() if run.kind == "press" else ():
         low, high = (float(end) for end in np.quantile(values, (0.01, 0.99)))
-        reach = config.far * (high - low)
-        is_beyond = (values < low - reach) | (values > high + reach)
+        max_distance = config.far * (high - low)
+        is_beyond = (values < low - max_distance) | (values > high + max_distance)
         if 0 < is_beyond.mean() <= config.few:
             count, unit = int(is_beyond.sum()), COLUMNS[name].split("_")[1]
             worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
@@ -236,15 +236,15 @@ def _agreement(one: Array, other: Array) -> float:
 def _runs_exchanged(case: Case, config: MistakeConfig) -> list[DataMistake]:
     """A column that fits its own run badly and that of another run well."""
     for name, ((i, one), (j, other)) in product(("output", "force", "stage"), combinations(_presses(case), 2)):
-        mine, theirs = _channels(one), _channels(other)
-        if len(one) != len(other) or name not in mine or len(mine) < 2:
+        of_one, of_other = _channels(one), _channels(other)
+        if len(one) != len(other) or name not in of_one or len(of_one) < 2:
             continue
-        rest = [r for r in mine if r != name]
-        alike = [_agreement(*(run[r] for r in rest)) for run in (mine, theirs) if len(rest) == 2]
+        rest = [r for r in of_one if r != name]
+        alike = [_agreement(*(run[r] for r in rest)) for run in (of_one, of_other) if len(rest) == 2]
         if min(alike, default=1.0) < config.paired:
             continue
-        now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
-        pairs = ((mine, theirs), (theirs, mine))
+        now = max(abs(_agreement(run[name], run[r])) for run in (of_one, of_other) for r in rest)
+        pairs = ((of_one, of_other), (of_other, of_one))
         exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
         if now < config.unpaired and exchanged > config.paired:
             evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
@@ -278,16 +278,16 @@ def _directions(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
         yield DataMistake("swapped_divider", "output", (), None, evidence, repair)
 
 
-def _warmths(case: Case, config: MistakeConfig) -> list[DataMistake]:
+def _check_temperatures(case: Case, config: MistakeConfig) -> list[DataMistake]:
     """One run whose temperature agrees with that of the others in another unit alone."""
     logs = [(n, run.temperature_C) for n, run in zip(numbers(case), case.runs, strict=True)]
     warm = {n: float(np.median(log)) for n, log in logs if log is not None}
-    for n, own_C in warm.items():
+    for n, level_C in warm.items():
         others_C = [other_C for k, other_C in warm.items() if k != n]
         for unit, (factor, offset) in SHIFTED.items():
             # Both units read higher than degrees Celsius wherever a sensor is calibrated.
-            if others_C and own_C - max(others_C) > config.warmer_K:
-                if abs(factor * own_C + offset - float(np.median(others_C))) < config.as_warm_K:
+            if others_C and level_C - max(others_C) > config.warmer_K:
+                if abs(factor * level_C + offset - float(np.median(others_C))) < config.as_warm_K:
                     evidence = reason("data.run.shifted", channel="temperature")
                     return [of_shifted("temperature", (n,), unit, factor, offset, evidence)]
     return []
@@ -297,16 +297,16 @@ def find_repeats(base: Fit) -> tuple[DataMistake, ...]:
     """Return where a channel repeats one value while the base moves: questions, for a mechanism may stick."""
     problem, config, out = base.problem, base.problem.method.mistake, []
     for block in problem.blocks:
-        every = np.concatenate([problem.measured[b.place] for b in problem.blocks_of(block.channel)])
+        every = np.concatenate([problem.measured[b.rows] for b in problem.blocks_of(block.channel)])
         low, high = float(every.min()), float(every.max())
-        values, predicted = problem.measured[block.place], base.predicted[block.place]
+        values, predicted = problem.measured[block.rows], base.predicted[block.rows]
         steps = np.abs(np.diff(values))
         # On the steps of an encoder a value stands until the next: the base must move over several.
-        least = max(config.span * (high - low), config.repeats * float(np.quantile(steps[steps > 0.0], 0.05)))
+        min_move = max(config.span * (high - low), config.repeats * float(np.quantile(steps[steps > 0.0], 0.05)))
         for part in np.split(np.arange(len(values)), np.flatnonzero(np.diff(values)) + 1):
             level, moves = float(values[part[0]]), float(np.ptp(predicted[part]))
             # What stands at an end is cut off there.
-            if len(part) >= config.repeats and low < level < high and moves > least:
+            if len(part) >= config.repeats and low < level < high and moves > min_move:
                 run, name = problem.case.runs[block.run], block.channel
                 times = {"start": float(run.elapsed_s[part[0]]), "end": float(run.elapsed_s[part[-1]])}
                 evidence = reason("data.repeats", channel=name, level=level, count=len(part), **times)
@@ -329,15 +329,15 @@ class _Size:
 
     def with_unit(self, channel: str, factor: float) -> "_Size":
         names = ("depth_mm", "speed_mm_s") if channel == "stage" else ("force_N",)
-        own = {name: getattr(self, name) for name in names}
-        return replace(self, **{name: None if value is None else value * factor for name, value in own.items()})
+        values = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: None if value is None else value * factor for name, value in values.items()})
 
     def oddness(self, config: MistakeConfig) -> float:
         """Return the largest distance from the usual, as a logarithm."""
-        known = [(value, usual) for name, usual in config.usual if (value := getattr(self, name)) is not None]
-        return max((abs(np.log(value / usual)) for value, usual in known), default=0.0)
+        measured = [(value, usual) for name, usual in config.usual if (value := getattr(self, name)) is not None]
+        return max((abs(np.log(value / usual)) for value, usual in measured), default=0.0)
 
-    def is_odd(self, config: MistakeConfig) -> bool:
+    def is_implausible(self, config: MistakeConfig) -> bool:
         """Whether no common pad is pressed so."""
         for name in ("stiffness_N_mm", "depth_mm", "force_N"):
             if (value := getattr(self, name)) is not None:
@@ -379,7 +379,7 @@ def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
     return reason("data.unit.size", channel=channel, seen=size.force_N or 0.0, unit="N")
 
 
-def _against_stated(case: Case, config: MistakeConfig) -> list[DataMistake]:
+def _check_stated_stiffness(case: Case, config: MistakeConfig) -> list[DataMistake]:
     """Units and gains of a whole case: the pad's stiffness against what the lot states."""
     size, stated = _size(case), case.stiffness_N_mm
     stiffness = size.stiffness_N_mm
@@ -429,7 +429,7 @@ def _spread_at(reference: Array, values: Array) -> float:
 class _Oddity:
     """One way in which a run may differ: what, of which channel, by which effects of the twin."""
 
-    what: str
+    quantity: str
     channel: str
     hooks: tuple[tuple[Hook, str, bool], ...]
     """(place of the chain, signal, whether it is multiplied instead of shifted) of every number."""
@@ -464,20 +464,20 @@ def outlier_run(base: Fit) -> DataMistake | None:
     return _finding(*outliers[0]) if outliers else None
 
 
-def outlier_run_beside(search: "Search") -> DataMistake | None:
+def outlier_run_with_causes(search: "Search") -> DataMistake | None:
     """Return the mistake of one run that, with one cause or none, explains more than all causes."""
     best, base, config = search.best, search.base, search.base.problem.method.outlier
     if len(best.ids) < 2 and search.model.is_clean(best):
         return None
     singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[: config.parents]
-    tried = [(parent, found) for parent in (*singles, best) for found in nearest(parent, config.promised)[:1]]
+    candidates = [(parent, result) for parent in (*singles, best) for result in nearest(parent, config.promised)[:1]]
     if not search.is_explained(best):
         # A cause as large as the mistake hides it from the base; beside it, it may explain the rest.
         for fitted, run, oddity, share in nearest(base, config.least_promised)[:2]:
             clean = [grown for grown in search.grown_from(fitted) if search.model.is_clean(grown)]
-            tried += [(base, (grown, run, oddity, share)) for grown in clean]
+            candidates += [(base, (grown, run, oddity, share)) for grown in clean]
     priced = []
-    for parent, (fitted, run, oddity, share) in tried:
+    for parent, (fitted, run, oddity, share) in candidates:
         # The mistake counts as one number more; it is of no catalogue and has no prior odds.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
@@ -498,24 +498,24 @@ def nearest(base: Fit, promised_share: float) -> list[_Fitted]:
     is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
     if len(runs) < problem.method.mistake.fewest_runs or is_within_noise or is_clean(base):
         return []
-    config, promised = problem.method.outlier, sorted(_promised(base, runs), key=lambda p: -p[0])
-    found = []
+    config, promised = problem.method.outlier, sorted(_predicted_gain(base, runs), key=lambda p: -p[0])
+    result = []
     for gain, run, oddity in promised[:3]:
         if gain < max(promised_share * excess, 0.5 * promised[0][0]):
             continue
         effects = _effects(run, oddity, base)
         start = np.append(base.coordinates, np.zeros(len(effects)))
         fitted = fit(base.problem, base.hypothesis.adding(*effects), start, steps=30)
-        found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
+        result.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
 
     def price(one: _Fitted) -> float:
         dearer = 0.0 if is_clean(one[0]) else config.dearer * excess
         return one[0].chi2 + len(one[2].hooks) * (config.each * float(np.log(base.problem.count)) + dearer)
 
-    return sorted(found, key=price)
+    return sorted(result, key=price)
 
 
-def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:
+def _predicted_gain(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:
     """Return to first order by how much each oddity of each run would lower χ² after a refit."""
     tangent, problem = Tangent(base), base.problem
     promised = []
@@ -524,22 +524,22 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
         inside = np.zeros(len(problem.measured))
         rows: dict[tuple[str, str], list[Array]] = {}
         for block in (b for b in problem.blocks if b.run == run):
-            inside[block.place] = 1.0
-            channel, here = block.channel.split("_")[0], np.zeros(len(problem.measured))
-            here[block.place] = 1.0
-            rows["zero", channel] = [problem.whitened(here)]
-            rows["gain", channel] = [problem.whitened(here * base.predicted)]
+            inside[block.rows] = 1.0
+            channel, at_block = block.channel.split("_")[0], np.zeros(len(problem.measured))
+            at_block[block.rows] = 1.0
+            rows["zero", channel] = [problem.whitened(at_block)]
+            rows["gain", channel] = [problem.whitened(at_block * base.predicted)]
         rows["other_unit", ""] = [row * inside for row in slopes]
         if problem.is_free[0]:
             rows["zero", "stage"] = [slopes[0] * inside]
         for oddity in ODDITIES:
-            signatures = rows.get((oddity.what, oddity.channel))
+            signatures = rows.get((oddity.quantity, oddity.channel))
             if signatures is None:
                 continue
-            gain, seen = 0.0, np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
-            if len(seen):
-                pull = seen @ base.residual
-                coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
+            gain, visible = 0.0, np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
+            if len(visible):
+                pull = visible @ base.residual
+                coefficients, *_ = np.linalg.lstsq(gram(visible) + 1e-12 * np.eye(len(visible)), pull, rcond=1e-9)
                 gain = float(coefficients @ pull)
             promised.append((gain, run, oddity))
     return promised
@@ -562,25 +562,25 @@ def _span(case: Case, column: str) -> float:
 
 
 def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistake | None:
-    case, least = fitted.problem.case, fitted.problem.method.outlier.least
+    case, min_size = fitted.problem.case, fitted.problem.method.outlier.least
     number = (numbers(case)[run],)
     of_run = {e.id: values[0] for e, values in zip(fitted.effects, fitted.effect_values, strict=True)}
     sizes = [of_run[effect.id] for effect in _effects(run, oddity, fitted)]
-    if oddity.what == "other_unit":
+    if oddity.quantity == "other_unit":
         stiffness, sensitivity, resistance, _ = sizes
-        told = {"stiffness": stiffness, "resistance": resistance, "sensitivity": sensitivity, "share": min(share, 1.0)}
-        evidence = reason("data.run.other_unit", **told)
+        texts = {"stiffness": stiffness, "resistance": resistance, "sensitivity": sensitivity, "share": min(share, 1.0)}
+        evidence = reason("data.run.other_unit", **texts)
         return DataMistake("other_unit", "", number, None, evidence, reason("data.repair.other_unit"))
     column = COLUMNS[oddity.channel]
     span, size = _span(case, column), sizes[0]
-    if oddity.what == "gain":
+    if oddity.quantity == "gain":
         ratio = 1.0 + size
-        if abs(ratio - 1.0) < least:
+        if abs(ratio - 1.0) < min_size:
             return None
         evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))
         return of_gain(oddity.channel, number, 1.0 / ratio, evidence)
     offset, unit = size if oddity.channel != "stage" else -size, column.split("_")[1]
-    if abs(offset) < least * span:
+    if abs(offset) < min_size * span:
         return None
     evidence = reason("data.run.zero", channel=oddity.channel, offset=offset, unit=unit, share=min(share, 1.0))
     repair = reason("data.repair.zero", channel=oddity.channel, offset=offset, unit=unit)

@@ -13,7 +13,7 @@ from softcal.core.twin.effects import Effect, Form, Parameter
 
 if TYPE_CHECKING:
     from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-    from softcal.core.gap.diagnosis import Diagnosis, Judgement
+    from softcal.core.gap.diagnosis import Assessment, Diagnosis
     from softcal.core.gap.experiments import NextExperiment
     from softcal.core.gap.fit import Fit, Map, Probe, Regime
     from softcal.core.gap.linear import Prior, RigScale
@@ -65,7 +65,7 @@ class RankedCause:
 
 
 @dataclass(frozen=True)
-class GapPlace:
+class FaultLocation:
     """One line of where the gap lies."""
 
     stage: str
@@ -82,7 +82,7 @@ class GapPlace:
 class Where:
     """Where the gap lies: places, the regimes in which it stands out, and what relations fitted alone leave."""
 
-    places: tuple[GapPlace, ...] = ()
+    locations: tuple[FaultLocation, ...] = ()
     regimes: tuple[Regime, ...] = ()
     maps: tuple[Map, ...] = ()
 
@@ -202,7 +202,7 @@ class Model(ABC):
     def largest_offsets(self, case: Case) -> Array:
         """Return (k,) bounds of what every run has of its own."""
 
-    def prepare(self, problem: Problem, places: Sequence[tuple[Hypothesis, Array]]) -> None:
+    def prepare(self, problem: Problem, points: Sequence[tuple[Hypothesis, Array]]) -> None:
         """Make predictions at several places at once, and store them; one after another is as quick."""
         return
 
@@ -223,27 +223,27 @@ class Model(ABC):
     # What it leaves.
 
     @abstractmethod
-    def is_clean(self, found: Fit) -> bool:
+    def is_clean(self, result: Fit) -> bool:
         """Whether a hypothesis leaves no structure."""
 
     @abstractmethod
-    def is_uneven(self, found: Fit) -> bool:
+    def is_uneven(self, result: Fit) -> bool:
         """Whether noise that a hypothesis leaves is not the same everywhere."""
 
     @abstractmethod
-    def followed(self, found: Fit, channel: str) -> Iterable[Sequence[Array]]:
+    def followed(self, result: Fit, channel: str) -> Iterable[Sequence[Array]]:
         """Give groups of (samples,) columns that the residual of a channel may follow."""
 
     @abstractmethod
-    def halves(self, found: Fit, block: Block) -> tuple[Mask | None, ...]:
+    def halves(self, result: Fit, block: Block) -> tuple[Mask | None, ...]:
         """Return which samples of a block, (n,), lie in one of two conditions; None where nothing tells."""
 
     @abstractmethod
-    def load_of(self, found: Fit) -> Array:
+    def load_of(self, result: Fit) -> Array:
         """Return (samples,) how much the mechanism is loaded."""
 
     @abstractmethod
-    def axes_of(self, found: Fit, run: int) -> tuple[Array, Array]:
+    def axes_of(self, result: Fit, run: int) -> tuple[Array, Array]:
         """Return what drives a run and its load, (n,) each, as a figure shows them."""
 
     # How causes are sought.
@@ -253,7 +253,7 @@ class Model(ABC):
         """Return mistakes that recordings show by themselves."""
 
     @abstractmethod
-    def base_beside(self, case: Case) -> Fit:
+    def base_of_mistaken_case(self, case: Case) -> Fit:
         """Return the base that a report of mistaken recordings shows."""
 
     @abstractmethod
@@ -295,11 +295,11 @@ class Model(ABC):
         """Give the empirical terms that may be tried on what is left."""
 
     @abstractmethod
-    def where(self, search: Search, judgement: Judgement, causes: Sequence[RankedCause]) -> Where:
+    def where(self, search: Search, assessment: Assessment, causes: Sequence[RankedCause]) -> Where:
         """Return where the gap lies."""
 
     @abstractmethod
-    def next_experiment(self, search: Search, judgement: Judgement, telling: NextExperiment | None) -> NextExperiment:
+    def next_experiment(self, search: Search, assessment: Assessment, telling: NextExperiment | None) -> NextExperiment:
         """Return what to record next.
 
         Args:

@@ -62,48 +62,48 @@ def suspects(maps: tuple[Map, ...], quiet: float, sensor_type: SensorType = "pre
     its electronics; when stage→output alone is clean, the load cell is what both others share.
     """
     z = {m.name: m.structure.z for m in maps}
-    dirty = {m.name for m in maps if m.structure.is_significant}
-    if not dirty:
+    structured = {m.name for m in maps if m.structure.is_significant}
+    if not structured:
         return ()
     if sensor_type == "strain":
         # A strain sensor does not feel the force: pad and cell look alike.
-        pad_or_behind = BEFORE if "stage→force" in dirty else BEHIND
-        return pad_or_behind if "stage→output" in dirty else ("mechanics", "load_cell")
+        pad_or_behind = BEFORE if "stage→force" in structured else BEHIND
+        return pad_or_behind if "stage→output" in structured else ("mechanics", "load_cell")
     if len(z) < 3:
         # One map alone: what lies on its own side, and the cell that reads its force.
         side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(z)))
         return (*BEFORE, *BEHIND) if side is None else (*side, "load_cell")
     loud = max(z.values())
-    left_out: dict[str, tuple[ChainStage, ...]]
-    left_out = {"stage→output": ("load_cell",), "force→output": BEFORE, "stage→force": BEHIND}
-    for name, stages in left_out.items():
-        if name not in dirty or z[name] <= quiet * loud:
+    excluded: dict[str, tuple[ChainStage, ...]]
+    excluded = {"stage→output": ("load_cell",), "force→output": BEFORE, "stage→force": BEHIND}
+    for name, stages in excluded.items():
+        if name not in structured or z[name] <= quiet * loud:
             return stages
     # All three are dirty: the cleanest of them leaves out the stage that the other two share.
     quietest = min(z, key=lambda name: z[name])
-    return left_out[quietest] if z[quietest] < 5 * quiet * loud else (*BEFORE, *BEHIND)
+    return excluded[quietest] if z[quietest] < 5 * quiet * loud else (*BEFORE, *BEHIND)
 
 
-def regimes(found: Fit) -> tuple[Regime, ...]:
+def regimes(result: Fit) -> tuple[Regime, ...]:
     """Return the regimes in which the residual of a fit stands out, the strongest first."""
     out = []
     for channel in ("force_N", "output_V"):
-        blocks = found.problem.blocks_of(channel, "press")
+        blocks = result.problem.blocks_of(channel, "press")
         if not blocks:
             continue
-        for name, share, time_share in shares_of_gap(found, blocks, _conditions(found, blocks)):
+        for name, share, time_share in shares_of_gap(result, blocks, _conditions(result, blocks)):
             out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
     return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
 
 
-def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
-    case = found.problem.case
+def _conditions(result: Fit, blocks: list[Block]) -> dict[Reason, Array]:
+    case = result.problem.case
     runs = [case.runs[b.run] for b in blocks]
     drive = np.concatenate([_drive(run) for run in runs])
     speed = np.concatenate([np.gradient(_drive(run), run.t_s) for run in runs])
     part = np.concatenate([run.elapsed_s / run.elapsed_s[-1] for run in runs])
     # Without a stage the load tells: a fiftieth of the largest counts as contact.
-    contact = found.base.u0_mm if case.has("stage_mm") else 0.02 * float(drive.max())
+    contact = result.base.u0_mm if case.has("stage_mm") else 0.02 * float(drive.max())
     touching = drive > contact
     # Quantiles of this recording: no speed in mm/s is fast for every rig.
     quick = np.abs(speed[touching & (np.abs(speed) > 0)])
@@ -151,25 +151,25 @@ class Tone:
         return self.channel == other.channel and distance_Hz < self.width_Hz + other.width_Hz
 
 
-def strongest_tone(found: Fit) -> Tone | None:
+def strongest_tone(result: Fit) -> Tone | None:
     """Return the strongest tone in the residuals of a channel; None where there is none.
 
     A ripple over the travel changes with the speed: of several runs two must show the same tone.
     """
-    tones = [t for block in found.problem.blocks if (t := _tone(found, block)) is not None]
-    alone = len(found.problem.case.presses) == 1
+    tones = [t for block in result.problem.blocks if (t := _tone(result, block)) is not None]
+    alone = len(result.problem.case.presses) == 1
     repeated = [t for t in tones if alone or sum(t.is_same(other) for other in tones) > 1]
     return max(repeated, key=lambda tone: tone.rms, default=None)
 
 
-def _tone(found: Fit, block: Block) -> Tone | None:
+def _tone(result: Fit, block: Block) -> Tone | None:
     """Return the strongest tone of one channel of one run.
 
     The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance
     of about m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
     """
-    run, config = found.problem.case.runs[block.run], found.problem.method.place
-    residual = found.residual[block.place]
+    run, config = result.problem.case.runs[block.run], result.problem.method.place
+    residual = result.residual[block.rows]
     if run.kind != "press":
         return None
     step_s = float(np.median(run.step_s))
@@ -195,55 +195,55 @@ class LooseNoise:
     detail: Reason
 
 
-def loose_noise(found: Fit) -> LooseNoise | None:
+def loose_noise(result: Fit) -> LooseNoise | None:
     """Return what is wrong with the noise, None where it is even.
 
     A clock that jitters makes fast samples noisier. A bad contact or a disturbed line throws single
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
-    problem, config = found.problem, found.problem.method.place
+    problem, config = result.problem, result.problem.method.place
     if dither_of(problem) is not None:
         return None
-    rows = zip(found.effects, found.effect_values, strict=True)
+    rows = zip(result.effects, result.effect_values, strict=True)
     fitted = [(effect.signs.search_target, values) for effect, values in rows]
-    tone = strongest_tone(found)
+    tone = strongest_tone(result)
     lines = [values for search_target, values in fitted if search_target == SearchTarget.LINE]
     # A named line breathes as that of mains does: what its equation leaves is a tone beside it.
-    is_beside_line = tone is not None and any(
+    is_near_mains = tone is not None and any(
         tone.channel == "output_V"
         and abs(tone.frequency_Hz - frequency_Hz) < config.breathes_Hz
-        and tone.rms * problem.floor("output_V") < config.most_of_line * amplitude / np.sqrt(2.0)
+        and tone.rms * problem.noise_floor("output_V") < config.most_of_line * amplitude / np.sqrt(2.0)
         for amplitude, frequency_Hz, *_ in lines
     )
-    if tone is not None and not is_beside_line:
+    if tone is not None and not is_near_mains:
         stage: ChainStage = "electronics" if tone.channel == "output_V" else "load_cell"
         name = tone.channel.split("_")[0]
-        seen = reason("gap.seen.tone", frequency_Hz=tone.frequency_Hz, channel=name, rms=tone.rms)
-        return LooseNoise(stage, seen)
+        detail = reason("gap.seen.tone", frequency_Hz=tone.frequency_Hz, channel=name, rms=tone.rms)
+        return LooseNoise(stage, detail)
     levels_V = [
         values[0] for search_target, values in fitted if search_target in (SearchTarget.CEILING, SearchTarget.FLOOR)
     ]
-    return _loose_output(found, levels_V)
+    return _loose_output(result, levels_V)
 
 
-def _loose_output(found: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
-    problem, runs, config = found.problem, found.problem.case.runs, found.problem.method.place
+def _loose_output(result: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
+    problem, runs, config = result.problem, result.problem.case.runs, result.problem.method.place
     blocks = [b for b in problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
     if not blocks:
         return None
-    every_V = np.concatenate([found.predicted[b.place] for b in blocks])
-    is_open, near_V = np.ones(len(every_V), dtype=np.bool_), config.clipped_sigma * problem.floor("output_V")
+    every_V = np.concatenate([result.predicted[b.rows] for b in blocks])
+    is_open, near_V = np.ones(len(every_V), dtype=np.bool_), config.clipped_sigma * problem.noise_floor("output_V")
     # A clipped output has less noise than the rest, and stands still.
     for level_V in levels_V:
         is_open &= np.abs(every_V - level_V) >= near_V
     quick = []
     for block in blocks:
         # What a sample has beyond the mean of its neighbours; white noise keeps its variance.
-        residual, own = found.residual[block.place], np.zeros(block.place.stop - block.place.start)
-        own[1:-1] = (residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])) / np.sqrt(1.5)
-        quick.append(own)
+        residual, roughness = result.residual[block.rows], np.zeros(block.rows.stop - block.rows.start)
+        roughness[1:-1] = (residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])) / np.sqrt(1.5)
+        quick.append(roughness)
     error, output_V = np.concatenate(quick)[is_open], every_V[is_open]
-    speed = np.abs(np.concatenate([_rate(found, b) for b in blocks]))[is_open]
+    speed = np.abs(np.concatenate([_rate(result, b) for b in blocks]))[is_open]
     is_loaded = output_V > output_V.min() + config.loaded * np.ptp(output_V)
     is_slow = speed < np.quantile(speed, 0.5)
     spikes = int(np.count_nonzero(np.abs(error[is_slow]) > config.spike_sigma))
@@ -275,9 +275,9 @@ def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     return (*first, *(stage for stage in pointed if stage not in first))
 
 
-def _rate(found: Fit, block: Block) -> Array:
-    run = found.problem.case.runs[block.run]
-    return np.asarray(np.gradient(found.predicted[block.place], run.t_s))
+def _rate(result: Fit, block: Block) -> Array:
+    run = result.problem.case.runs[block.run]
+    return np.asarray(np.gradient(result.predicted[block.rows], run.t_s))
 
 
 def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
@@ -285,8 +285,8 @@ def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
     blocks = base.problem.blocks_of("output_V", "press")
     if not blocks:
         return "transduction"
-    error = np.concatenate([base.residual[b.place] for b in blocks])
-    output_V = np.concatenate([base.predicted[b.place] for b in blocks])
+    error = np.concatenate([base.residual[b.rows] for b in blocks])
+    output_V = np.concatenate([base.predicted[b.rows] for b in blocks])
     rate = np.concatenate([_rate(base, b) for b in blocks])
     excess = max(float(error @ error) - len(error), 1.0)
     share, swings = _static(error, output_V, excess, config.bins)
@@ -308,13 +308,13 @@ def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
 def _static(error: Array, drive: Array, excess: float, bins: int) -> tuple[float, int]:
     """Return which share of the excess the drive determines, and how often it changes sign."""
     edges = np.linspace(drive.min(), drive.max() + 1e-12, bins + 1)
-    place = np.clip(np.digitize(drive, edges) - 1, 0, bins - 1)
-    count = np.bincount(place, minlength=bins)
-    sums = np.bincount(place, weights=error, minlength=bins)
-    seen = count > 8
-    means = sums[seen] / count[seen]
-    clear = means[np.abs(means) > 4.0 / np.sqrt(count[seen])]
-    share = float(np.sum(sums[seen] ** 2 / count[seen]) - np.count_nonzero(seen)) / excess
+    bin_of = np.clip(np.digitize(drive, edges) - 1, 0, bins - 1)
+    count = np.bincount(bin_of, minlength=bins)
+    sums = np.bincount(bin_of, weights=error, minlength=bins)
+    is_filled = count > 8
+    means = sums[is_filled] / count[is_filled]
+    clear = means[np.abs(means) > 4.0 / np.sqrt(count[is_filled])]
+    share = float(np.sum(sums[is_filled] ** 2 / count[is_filled]) - np.count_nonzero(is_filled)) / excess
     return share, int(np.count_nonzero(np.diff(np.sign(clear))))
 
 
@@ -329,20 +329,20 @@ def _is_motion(base: Fit) -> bool:
         depth_mm = np.maximum(0.0, travel - base.base.u0_mm)
         slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
         # So scaled a wrong position weighs alike at any depth.
-        scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
+        scaled = base.residual[block.rows] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
         error, total = np.where(depth_mm > 0, scaled, 0.0), len(travel)
         # The energy that one step in time takes away, beyond the mean ...
-        whole, count, left = float(error.sum()), np.arange(1, total), np.cumsum(error)[:-1]
-        steps = left**2 / count + (whole - left) ** 2 / (total - count)
-        jumps += float(np.max(steps) - whole**2 / total)
+        total_error, count, cumulated = float(error.sum()), np.arange(1, total), np.cumsum(error)[:-1]
+        steps = cumulated**2 / count + (total_error - cumulated) ** 2 / (total - count)
+        jumps += float(np.max(steps) - total_error**2 / total)
         # ... a straight line in time ...
         t = np.arange(total) - 0.5 * (total - 1)
         trends += float((error @ t) ** 2 / (t @ t))
         # ... and a function of the deepest position so far.
         deepest = np.maximum.accumulate(travel)
-        place = np.digitize(deepest, np.linspace(deepest.min(), deepest.max() + 1e-12, 9))
-        sums = np.bincount(place, weights=error) ** 2 / np.maximum(np.bincount(place), 1)
-        sets += float(np.sum(sums) - whole**2 / total)
+        bin_of = np.digitize(deepest, np.linspace(deepest.min(), deepest.max() + 1e-12, 9))
+        sums = np.bincount(bin_of, weights=error) ** 2 / np.maximum(np.bincount(bin_of), 1)
+        sets += float(np.sum(sums) - total_error**2 / total)
         errors.append(error)
         travels.append(travel)
     every = np.concatenate(errors)
@@ -353,80 +353,80 @@ def _is_motion(base: Fit) -> bool:
     return jumps > config.most * excess and jumps > 1.2 * max(sets, trends)
 
 
-def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
+def explained_twin(result: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     """Return base parameters, noise and causes of a fitted hypothesis as a twin.
 
     A cause enters by the equation it was fitted by. Episodes belong to the recording they were found in
     and are left out: losses of samples and bad contacts are repaired, not simulated.
     """
-    found = with_constants(found)
-    readout = found.problem.case.readout
+    result = with_constants(result)
+    readout = result.problem.case.readout
     # σV without the share of rounding, q²/12 where the noise is not small against a step.
-    sigma_V = dither_of(found.problem)
+    sigma_V = dither_of(result.problem)
     if sigma_V is None:
-        sigma_V = float(np.sqrt(max(_floor(found, "output_V") ** 2 - readout.step_V**2 / 12, 0.0)))
-    base = found.base.with_values(sigma_output_V=sigma_V, sigma_force_N=_floor(found, "force_N"))
+        sigma_V = float(np.sqrt(max(_noise_floor(result, "output_V") ** 2 - readout.step_V**2 / 12, 0.0)))
+    base = result.base.with_values(sigma_output_V=sigma_V, sigma_force_N=_noise_floor(result, "force_N"))
     settings = []
-    for effect, values in zip(found.effects, found.effect_values, strict=True):
+    for effect, values in zip(result.effects, result.effect_values, strict=True):
         if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:
             continue
-        given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
-        form = form_of(found, effect)
+        constants = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
+        form = form_of(result, effect)
         # What belongs to a recording alone, as the phase of a hum, is no parameter of the twin.
-        known = effect if form else EFFECTS[effect.id].find_side([effect.parameters[0].name])
-        fitted = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
+        effect_side = effect if form else EFFECTS[effect.id].find_side([effect.parameters[0].name])
+        fitted = {k: v for k, v in constants.items() if k in effect_side.value_names and np.isfinite(v)}
         settings.append(EffectSetting(effect.id, fitted, form=form))
     return Twin(base, tuple(settings), readout, tuple(terms))
 
 
-def _floor(found: Fit, channel: str) -> float:
-    return found.problem.floor(channel) if channel in found.problem.sigma else 0.0
+def _noise_floor(result: Fit, channel: str) -> float:
+    return result.problem.noise_floor(channel) if channel in result.problem.sigma else 0.0
 
 
-def in_catalogue_form(found: Fit) -> Fit:
+def in_catalogue_form(result: Fit) -> Fit:
     """Return the fit with every cause by the catalogue's equation; itself where it already is."""
-    listed = {e.id: e for e in found.problem.model.candidates}
-    effects = tuple(listed[e.id] if form_of(found, e) else e for e in found.effects)
-    if effects == found.effects:
-        return found
+    listed = {e.id: e for e in result.problem.model.candidates}
+    effects = tuple(listed[e.id] if form_of(result, e) else e for e in result.effects)
+    if effects == result.effects:
+        return result
     rows = []
-    for effect, fitted, values in zip(effects, found.effects, found.effect_values, strict=True):
-        given = {p.name: v for p, v in zip(fitted.parameters, values, strict=True)}
-        rows.append([given.get(p.name, p.usual) for p in effect.parameters])
-    start = np.append(found.coordinates[found.hypothesis.of_base], start_coordinates(effects, rows))
-    return fit(found.problem, replace(found.hypothesis, effects=effects), start, steps=40)
+    for effect, fitted, values in zip(effects, result.effects, result.effect_values, strict=True):
+        values_by_name = {p.name: v for p, v in zip(fitted.parameters, values, strict=True)}
+        rows.append([values_by_name.get(p.name, p.usual) for p in effect.parameters])
+    start = np.append(result.coordinates[result.hypothesis.of_base], start_coordinates(effects, rows))
+    return fit(result.problem, replace(result.hypothesis, effects=effects), start, steps=40)
 
 
-def with_constants(found: Fit) -> Fit:
+def with_constants(result: Fit) -> Fit:
     """Return the fit with the constants of every form set to one value for all runs.
 
     A fit reads them off each run: its largest force, of which strokes are shares. A twin has one number,
     the largest of the runs. Base and causes are refitted with it.
     """
-    effects = found.effects
+    effects = result.effects
     if not any(_is_open(effect) for effect in effects):
-        return found
-    seen = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
+        return result
+    maxima = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
 
-    def watched(effect: Effect) -> Effect:
-        largest = seen[effect.id]
+    def record_maxima(effect: Effect) -> Effect:
+        largest = maxima[effect.id]
 
         def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
             effect.step(flow, values, state)
-            largest.update({name: max(most, float(state[name][0])) for name, most in largest.items()})
+            largest.update({name: max(maximum, float(state[name][0])) for name, maximum in largest.items()})
 
         return replace(effect, step=step)
 
-    def fixed(effect: Effect) -> Effect:
-        def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
-            effect.step(flow, (*own, *seen[effect.id].values()), state)
+    def fix_maxima(effect: Effect) -> Effect:
+        def step(flow: Flow, parameters: Sequence[float], state: Memory) -> None:
+            effect.step(flow, (*parameters, *maxima[effect.id].values()), state)
 
-        return replace(effect, step=step, constants=tuple(seen[effect.id].items()))
+        return replace(effect, step=step, constants=tuple(maxima[effect.id].items()))
 
-    open_ = tuple(watched(e) if _is_open(e) else e for e in effects)
-    found.problem.bare.predict(replace(found.hypothesis, effects=open_), found.coordinates)
-    closed = tuple(fixed(e) if _is_open(e) else e for e in effects)
-    return fit(found.problem, replace(found.hypothesis, effects=closed), found.coordinates, steps=40)
+    open_ = tuple(record_maxima(e) if _is_open(e) else e for e in effects)
+    result.problem.bare.predict(replace(result.hypothesis, effects=open_), result.coordinates)
+    closed = tuple(fix_maxima(e) if _is_open(e) else e for e in effects)
+    return fit(result.problem, replace(result.hypothesis, effects=closed), result.coordinates, steps=40)
 
 
 def _is_open(effect: Effect) -> bool:

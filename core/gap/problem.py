@@ -9,7 +9,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.linear import (
-    Colour,
+    NoiseCorrelation,
     Prior,
     RigScale,
     bounded_sizes,
@@ -23,10 +23,10 @@ from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.simulate import Chain
 
 if TYPE_CHECKING:
-    from softcal.core.gap.method import ColourConfig, GapMethod
+    from softcal.core.gap.method import GapMethod, NoiseCorrelationConfig
     from softcal.core.gap.model import Directions, Model, Sizes
 
-STRAIGHT_SIGMA = 0.5
+LINEAR_SIGMA = 0.5
 """Share of its noise that an offset may move a sample along the slope: bends err far less."""
 
 PASSES = 3
@@ -95,18 +95,18 @@ class Hypothesis:
     def split(self, coordinates: Array) -> tuple[list[float], list[list[float]]]:
         """Return the values of the base and of every effect at these coordinates of the fit."""
         values = [from_fit(p, float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
-        return values[self.of_base], [values[place] for place in self.slices.values()]
+        return values[self.of_base], [values[rows] for rows in self.slices.values()]
 
-    def place_of(self, effect_id: str) -> int:
-        """Return where the size of an effect stands among the coordinates."""
+    def index_of(self, effect_id: str) -> int:
+        """Return the index of the size of an effect among the coordinates."""
         return int(self.slices[effect_id].start)
 
     def without(self, effect_id: str) -> tuple["Hypothesis", Mask]:
         """Return this without one effect, and which coordinates, (parameters,), are left."""
-        left = np.ones(len(self.parameters), dtype=np.bool_)
+        is_retained = np.ones(len(self.parameters), dtype=np.bool_)
         if effect_id in self.slices:
-            left[self.slices[effect_id]] = False
-        return replace(self, effects=tuple(e for e in self.effects if e.id != effect_id)), left
+            is_retained[self.slices[effect_id]] = False
+        return replace(self, effects=tuple(e for e in self.effects if e.id != effect_id)), is_retained
 
     def without_episodes(self) -> "Hypothesis":
         """Return the same effects on a run whose episodes nobody knows."""
@@ -124,7 +124,7 @@ class Block:
 
     run: int
     channel: str
-    place: slice
+    rows: slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +133,10 @@ class Problem:
 
     Args:
         sigma: per channel, standard deviation of the white noise, in the channel's unit.
-        use: (samples,) which samples a fit may see; all where None.
+        weight_of_sample: (samples,) which samples a fit may see; all where None.
         extra_variance: (samples,) variance that comes with the noise of the driving channel.
         has_offsets: whether every run may have something of its own, such as a zero.
-        colour: per channel whose noise is not white, the part that fades.
+        correlation: per channel whose noise is not white, the part that fades.
         of_rig: the size of the rig; read off the runs where None.
         of_base: of every offset, whether the base has what all runs share of it; as its kind says where empty.
     """
@@ -144,10 +144,10 @@ class Problem:
     model: "Model"
     case: Case
     sigma: Mapping[str, float]
-    use: Array | None = None
+    weight_of_sample: Array | None = None
     extra_variance: Array | None = None
     has_offsets: bool = True
-    colour: Mapping[str, Colour] = field(default_factory=dict)
+    correlation: Mapping[str, NoiseCorrelation] = field(default_factory=dict)
     of_rig: RigScale | None = None
     of_base: tuple[bool, ...] = ()
 
@@ -184,7 +184,7 @@ class Problem:
         return self.model.recorded(self.case.runs[run], channel)
 
     @cached_property
-    def colour_config(self) -> "ColourConfig":
+    def correlation_config(self) -> "NoiseCorrelationConfig":
         """How noise that fades is read."""
         return self.method.colour.slower(self.model.times_slower(self.case))
 
@@ -205,72 +205,75 @@ class Problem:
     def of_run(self, run: Run) -> "Problem":
         """Return the problem of a run that is not recorded yet, under the same noise."""
         case = Case(self.case.serial, (run,), is_planned=True)
-        return replace(self, case=case, use=None, extra_variance=None, has_offsets=True, of_rig=self.scale)
+        return replace(self, case=case, weight_of_sample=None, extra_variance=None, has_offsets=True, of_rig=self.scale)
 
     @cached_property
     def noise(self) -> Array:
         """(samples,) standard deviation of the noise of every sample."""
-        noise = np.concatenate([np.full(b.place.stop - b.place.start, self.sigma[b.channel]) for b in self.blocks])
+        noise = np.concatenate([np.full(b.rows.stop - b.rows.start, self.sigma[b.channel]) for b in self.blocks])
         return noise if self.extra_variance is None else np.sqrt(noise**2 + self.extra_variance)
 
     @cached_property
     def slow_noise(self) -> Array:
         """(samples,) standard deviation of white noise as strong as this near zero frequency."""
-        if not self.colour:
+        if not self.correlation:
             return self.noise
         variance = self.noise**2
-        for block in (b for b in self.blocks if b.channel in self.colour):
+        for block in (b for b in self.blocks if b.channel in self.correlation):
             step_s = float(np.median(self.case.runs[block.run].step_s))
-            variance[block.place] += self.colour[block.channel].slow_variance(step_s)
+            variance[block.rows] += self.correlation[block.channel].slow_variance(step_s)
         return np.sqrt(variance)
 
     @cached_property
-    def whole_noise(self) -> Array:
+    def total_noise(self) -> Array:
         """(samples,) standard deviation of the noise, the part that fades included."""
         noise = self.noise.copy()
-        for block in (b for b in self.blocks if b.channel in self.colour):
-            noise[block.place] = np.hypot(noise[block.place], self.colour[block.channel].spread)
+        for block in (b for b in self.blocks if b.channel in self.correlation):
+            noise[block.rows] = np.hypot(noise[block.rows], self.correlation[block.channel].spread)
         return noise
 
-    def floor(self, channel: str) -> float:
+    def noise_floor(self, channel: str) -> float:
         """Return the standard deviation of the noise of a channel, the part that fades included."""
-        fading = self.colour[channel].spread if channel in self.colour else 0.0
+        fading = self.correlation[channel].spread if channel in self.correlation else 0.0
         return float(np.hypot(self.sigma[channel], fading))
 
     @cached_property
     def weights(self) -> Array:
         """(samples,) 1/σ of the white noise, 0 where a fit may not look."""
-        return 1.0 / self.noise if self.use is None else self.use / self.noise
+        return 1.0 / self.noise if self.weight_of_sample is None else self.weight_of_sample / self.noise
 
     def whitened(self, values: Array) -> Array:
         """Return (samples + priors,) independent values over their noise, 0 where a fit may not look."""
         out = np.append(values * self.weights, np.zeros(len(self.priors)))
         for block, steps in self._filters:
-            out[block.place] = filtered(values[block.place], steps)
+            out[block.rows] = filtered(values[block.rows], steps)
         return out
 
     def residual(self, predicted: Array, coordinates: Array) -> Array:
         """Return (samples + priors,) what a prediction leaves, and how far its base lies from what is known of it."""
         out = self.whitened(self.measured - predicted)
         for k, prior in enumerate(self.priors, start=len(predicted)):
-            out[k] = (prior.mean - coordinates[prior.place]) / prior.sd
+            out[k] = (prior.mean - coordinates[prior.index]) / prior.sd
         return out
 
     def jacobian(self, slopes: Array) -> Array:
         """Return (parameters, samples + priors) derivatives of what is compared, from those of a prediction."""
         out = np.array([self.whitened(row) for row in slopes])
         for k, prior in enumerate(self.priors, start=len(self.measured)):
-            out[prior.place, k] = 1.0 / prior.sd
+            out[prior.index, k] = 1.0 / prior.sd
         return out
 
     @cached_property
     def _filters(self) -> list[tuple[Block, Array]]:
-        use, found = np.ones(len(self.measured)) if self.use is None else self.use, []
-        for block in (b for b in self.blocks if b.channel in self.colour):
-            step_s, of = self.case.runs[block.run].step_s, self.colour[block.channel]
-            seen = use[block.place].astype(np.float64)
-            found.append((block, filter_of(self.noise[block.place], seen, step_s, of.spread, of.fading_s)))
-        return found
+        weight_of_sample, filters = (
+            np.ones(len(self.measured)) if self.weight_of_sample is None else self.weight_of_sample,
+            [],
+        )
+        for block in (b for b in self.blocks if b.channel in self.correlation):
+            step_s, of = self.case.runs[block.run].step_s, self.correlation[block.channel]
+            is_used = weight_of_sample[block.rows].astype(np.float64)
+            filters.append((block, filter_of(self.noise[block.rows], is_used, step_s, of.spread, of.fading_s)))
+        return filters
 
     @cached_property
     def is_free(self) -> Array:
@@ -324,26 +327,28 @@ class Problem:
         """Return how a prediction with these offsets in it changes with each of them."""
         return self.model.directions(self, hypothesis, coordinates, clean, sizes)
 
-    def prepare(self, places: Sequence[tuple[Hypothesis, Array]]) -> None:
+    def prepare(self, points: Sequence[tuple[Hypothesis, Array]]) -> None:
         """Make predictions at several places at once, where the model is quicker so."""
-        self.model.prepare(self, places)
+        self.model.prepare(self, points)
 
     def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: "Sizes") -> Array:
         """Return the (samples,) prediction with these offsets in it, NaN where nobody can know."""
         return self.model.clean(self, hypothesis, coordinates, sizes)
 
-    def seeing(self, use: Array) -> "Problem":
+    def seeing(self, weight_of_sample: Array) -> "Problem":
         """Return the same problem with other samples open to the fit."""
-        return replace(self, use=use)
+        return replace(self, weight_of_sample=weight_of_sample)
 
     @cached_property
     def bare(self) -> "Problem":
         """The same problem with one zero, one resistance and one seat for all runs."""
         return replace(self, has_offsets=False)
 
-    def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
+    def with_noise(
+        self, sigma: Mapping[str, float], correlation: Mapping[str, NoiseCorrelation] | None = None
+    ) -> "Problem":
         """Return the same problem under other noise, of the same colour where none is given."""
-        return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
+        return replace(self, sigma=sigma, correlation=self.correlation if correlation is None else correlation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,8 +362,8 @@ class Nearby:
     def _pulling(self, problem: Problem, number: int, rows: Array) -> tuple[Array, Array]:
         """Return the rows of a block over the noise's variance, and their products: the same at every asking."""
         if number not in self._products:
-            weighted = rows / problem.slow_noise[problem.blocks[number].place]
-            self._products[number] = weighted / problem.slow_noise[problem.blocks[number].place], gram(weighted)
+            weighted = rows / problem.slow_noise[problem.blocks[number].rows]
+            self._products[number] = weighted / problem.slow_noise[problem.blocks[number].rows], gram(weighted)
         return self._products[number]
 
     def sizes(self, problem: Problem, clean: Array) -> dict[int, Array]:
@@ -366,17 +371,17 @@ class Nearby:
         pairs = list(zip(problem.blocks, self.directions, strict=True))
         runs, count = list(dict.fromkeys(b.run for b, rows in pairs if rows is not None)), len(problem.largest_offsets)
         normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
-        left = problem.measured - clean
-        is_finite = bool(np.isfinite(left.sum()))
+        residual = problem.measured - clean
+        is_finite = bool(np.isfinite(residual.sum()))
         for number, (block, rows) in enumerate(pairs):
             if rows is not None:
-                k, error = runs.index(block.run), left[block.place]
+                k, error = runs.index(block.run), residual[block.rows]
                 pulling, product = self._pulling(problem, number, rows)
                 if not is_finite:
                     # A sample that nobody can foretell tells nothing.
-                    is_known = np.isfinite(error)
-                    pulling, error = np.where(is_known, pulling, 0.0), np.where(is_known, error, 0.0)
-                    product = gram(np.where(is_known, rows, 0.0) / problem.slow_noise[block.place])
+                    has_value = np.isfinite(error)
+                    pulling, error = np.where(has_value, pulling, 0.0), np.where(has_value, error, 0.0)
+                    product = gram(np.where(has_value, rows, 0.0) / problem.slow_noise[block.rows])
                 normal[k] += product
                 slope[k] += pulling @ error
         has = np.array([self.moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
@@ -388,7 +393,7 @@ class Nearby:
         out, sizes = clean.copy(), self.sizes(problem, clean)
         for block, rows in zip(problem.blocks, self.directions, strict=True):
             if rows is not None:
-                out[block.place] += sizes[block.run] @ rows
+                out[block.rows] += sizes[block.run] @ rows
         return out
 
 
@@ -401,7 +406,7 @@ def with_offsets(problem: Problem, hypothesis: Hypothesis, coordinates: Array, c
         if not len(bending) or not any(
             rows is not None
             and np.abs(rows[bending] * sizes[block.run][bending, np.newaxis]).max()
-            > STRAIGHT_SIGMA * problem.noise[block.place].min()
+            > LINEAR_SIGMA * problem.noise[block.rows].min()
             for block, rows in zip(problem.blocks, near.directions, strict=True)
         ):
             break
@@ -417,11 +422,11 @@ def rows_of_runs(problem: Problem, directions: "Directions") -> dict[int, Array]
     out: dict[int, Array] = {}
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
-            out.setdefault(block.run, np.zeros((len(rows), len(problem.measured))))[:, block.place] = rows
+            out.setdefault(block.run, np.zeros((len(rows), len(problem.measured))))[:, block.rows] = rows
     return out
 
 
-def own_rows(problem: Problem, directions: "Directions") -> tuple[list[Array], tuple[int, ...]]:
+def nuisance_rows(problem: Problem, directions: "Directions") -> tuple[list[Array], tuple[int, ...]]:
     """Return (samples,) rows along which runs may move on their own, and the kind of each.
 
     Of what is relative they move by what they differ by alone; one run alone by all of it.

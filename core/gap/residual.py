@@ -19,8 +19,8 @@ from softcal.core.gap.case import HALF_WIDTH, Mask
 from softcal.core.gap.evidence import Yardstick
 from softcal.core.gap.fit import Fit, fit, form_of
 from softcal.core.gap.linear import (
-    Colour,
     Noise,
+    NoiseCorrelation,
     Stretch,
     energy,
     joined,
@@ -28,7 +28,7 @@ from softcal.core.gap.linear import (
     noise_terms,
     projected,
 )
-from softcal.core.gap.method import ColourConfig, ShrinkConfig
+from softcal.core.gap.method import ExplainedFractionConfig, NoiseCorrelationConfig
 from softcal.core.gap.problem import Block, Hypothesis, Problem
 from softcal.core.recording import Array
 
@@ -46,7 +46,7 @@ class ChannelGap:
 
 
 @dataclass(frozen=True)
-class Shrink:
+class ExplainedFraction:
     """1 − (after − floor)/(before − floor): forecast with 90 % interval, and on unseen samples.
 
     There is no forecast where the unseen samples of the same runs contradict it already.
@@ -58,7 +58,9 @@ class Shrink:
     held_out: float
 
     @classmethod
-    def checked(cls, forecast: tuple[float, float, float], held_out: float, config: ShrinkConfig) -> "Shrink":
+    def checked(
+        cls, forecast: tuple[float, float, float], held_out: float, config: ExplainedFractionConfig
+    ) -> "ExplainedFraction":
         """Return a forecast beside what was measured, left out where that lies far outside its interval."""
         _, low, high = forecast
         far = max(high - low, config.contradicts)
@@ -71,28 +73,28 @@ def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
     """Return what a base leaves, where nothing else was fitted."""
     problem, gap = base.problem, {}
     for channel in problem.scored_channels:
-        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks_of(channel)]
+        parts = [(problem.measured - base.predicted)[b.rows] for b in problem.blocks_of(channel)]
         rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
+        gap[channel] = ChannelGap(rms, rms, problem.noise_floor(channel))
     return gap
 
 
-def noise_levels(found: Fit) -> dict[str, float]:
+def noise_levels(result: Fit) -> dict[str, float]:
     """Return σ of the white noise per channel, within what is believed of it."""
-    problem = found.problem
-    scatter = {c: float(np.clip(sigma, *problem.noise_range(c))) for c, sigma in scatter_of(found).items()}
+    problem = result.problem
+    scatter = {c: float(np.clip(sigma, *problem.noise_range(c))) for c, sigma in scatter_of(result).items()}
     return {**problem.sigma, **scatter}
 
 
-def scatter_of(found: Fit) -> dict[str, float]:
+def scatter_of(result: Fit) -> dict[str, float]:
     """Return the scatter per channel from the differences of neighbouring residuals.
 
     A structured residual is smooth and hardly enters.
     """
-    problem, order = found.problem, found.problem.model.smooth_order
+    problem, order = result.problem, result.problem.model.smooth_order
     squares: dict[str, list[Array]] = {}
     for block in problem.blocks:
-        error = (problem.measured - found.predicted)[block.place]
+        error = (problem.measured - result.predicted)[block.rows]
         # White noise of variance 1 gives differences of variance 2, second ones of 6.
         squares.setdefault(block.channel, []).append(np.diff(error, order) ** 2 / comb(2 * order, order))
     levels = {}
@@ -104,133 +106,135 @@ def scatter_of(found: Fit) -> dict[str, float]:
     return levels
 
 
-def noise_of(found: Fit, channels: Iterable[str] | None = None) -> tuple[dict[str, float], dict[str, Colour]]:
+def noise_of(
+    result: Fit, channels: Iterable[str] | None = None
+) -> tuple[dict[str, float], dict[str, NoiseCorrelation]]:
     """Return white noise and, in these channels or where there already is one, the fading part."""
-    levels, colours, config = noise_levels(found), {}, found.problem.colour_config
-    for channel in found.problem.colour if channels is None else channels:
-        least, largest = found.problem.noise_range(channel)
-        if least == largest:
+    levels, correlations, config = noise_levels(result), {}, result.problem.correlation_config
+    for channel in result.problem.correlation if channels is None else channels:
+        smallest, largest = result.problem.noise_range(channel)
+        if smallest == largest:
             continue
-        noise = read_noise([_stretch(found, b) for b in found.problem.blocks_of(channel)], config)
+        noise = read_noise([_stretch(result, b) for b in result.problem.blocks_of(channel)], config)
         if noise.gain > config.gain:
-            levels[channel], colours[channel] = noise.white, noise.colour
-    return levels, colours
+            levels[channel], correlations[channel] = noise.white, noise.correlation
+    return levels, correlations
 
 
-def coloured(found: Fit) -> Problem | None:
+def with_correlated_noise(result: Fit) -> Problem | None:
     """Return the problem with noise that fades, read from what is left; None where it is white."""
-    problem = found.problem
+    problem = result.problem
     # The noise of a measured force that drives the chain cannot be told from the output's.
     if problem.is_driven_by_force:
         return None
-    levels, colours = noise_of(found, problem.scored_channels)
-    return problem.with_noise(levels, colours) if colours else None
+    levels, correlations = noise_of(result, problem.scored_channels)
+    return problem.with_noise(levels, correlations) if correlations else None
 
 
-def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
-    error = (found.problem.measured - found.predicted)[block.place]
-    step_s = found.problem.case.runs[block.run].step_s
-    return Stretch(error, step_s, np.ones(len(error)) if use is None else use)
+def _stretch(result: Fit, block: Block, is_used: Array | None = None) -> Stretch:
+    error = (result.problem.measured - result.predicted)[block.rows]
+    step_s = result.problem.case.runs[block.run].step_s
+    return Stretch(error, step_s, np.ones(len(error)) if is_used is None else is_used)
 
 
-def read_noise(stretches: Sequence[Stretch], config: ColourConfig) -> Noise:
+def read_noise(stretches: Sequence[Stretch], config: NoiseCorrelationConfig) -> Noise:
     """Return the likeliest noise; the white part sets the scale: two numbers are searched for."""
-    error, step_s, use = joined(stretches)
-    count = max(float(use.sum()), 1.0)
+    error, step_s, is_used = joined(stretches)
+    count = max(float(is_used.sum()), 1.0)
 
     def scale(ratio: float, fading_s: float) -> tuple[float, float]:
-        squares, log_det = noise_terms(error, step_s, use, ratio, fading_s)
+        squares, log_det = noise_terms(error, step_s, is_used, ratio, fading_s)
         variance = max(squares / count, 1e-300)
         return variance, -0.5 * (count * (1.0 + float(np.log(variance))) + log_det)
 
-    def lost(x: Array) -> float:
+    def loss(x: Array) -> float:
         outside = max(np.log(config.shortest_s) - x[1], x[1] - np.log(config.longest_s), 0.0)
-        held = float(np.exp(np.clip(x[1], np.log(config.shortest_s), np.log(config.longest_s))))
-        return float(count * outside**2 - scale(float(np.exp(x[0])), held)[1])
+        memory_s = float(np.exp(np.clip(x[1], np.log(config.shortest_s), np.log(config.longest_s))))
+        return float(count * outside**2 - scale(float(np.exp(x[0])), memory_s)[1])
 
     starts = [np.log([ratio, fading_s]) for ratio in config.ratios for fading_s in config.fading_s]
-    start = min(starts, key=lost)
+    start = min(starts, key=loss)
     # Half a natural logarithm: less than the distance of two starts.
     simplex = start + 0.5 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     options = {"xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex}
-    minimum = minimize(lost, start, method="Nelder-Mead", options=options)
+    minimum = minimize(loss, start, method="Nelder-Mead", options=options)
     ratio, fading_s = float(np.exp(minimum.x[0])), float(np.exp(minimum.x[1]))
     fading_s = float(np.clip(fading_s, config.shortest_s, config.longest_s))
     variance, log_likelihood = scale(ratio, fading_s)
     white = float(np.sqrt(variance))
     alone = scale(0.0, 1.0)[1]
-    return Noise(white, Colour(ratio * white, fading_s), log_likelihood, log_likelihood - alone)
+    return Noise(white, NoiseCorrelation(ratio * white, fading_s), log_likelihood, log_likelihood - alone)
 
 
-def is_noise(found: Fit) -> bool:
+def is_noise(result: Fit) -> bool:
     """Whether what a fit leaves in channels of fading noise fades alike everywhere and is noise."""
     # What has not faded by the longest time tried is no noise but a wander: an R0 that walks.
-    problem, config = found.problem, found.problem.method.floor
-    longest_s = config.wanders * problem.colour_config.longest_s
-    if any(colour.fading_s > longest_s for colour in problem.colour.values()):
+    problem, config = result.problem, result.problem.method.floor
+    longest_s = config.wanders * problem.correlation_config.longest_s
+    if any(correlation.fading_s > longest_s for correlation in problem.correlation.values()):
         return False
-    is_even = all(_is_even(found, channel) for channel in problem.colour)
-    return is_even and noise_chance(found, tuple(problem.colour)) > config.chance
+    is_even = all(_is_even(result, channel) for channel in problem.correlation)
+    return is_even and noise_chance(result, tuple(problem.correlation)) > config.chance
 
 
-def noise_chance(found: Fit, channels: Sequence[str] = ()) -> float:
+def noise_chance(result: Fit, channels: Sequence[str] = ()) -> float:
     """Return how likely noise leaves as much as a fit does, in these channels or all scored ones."""
-    problem, chances = found.problem, []
+    problem, chances = result.problem, []
     for channel in channels or problem.scored_channels:
         # By how many standard errors what is left is more than noise. A filter has taken the memory out of noise that
         # fades, and its size was read off what is left.
         blocks, tests = problem.blocks_of(channel), []
-        if channel not in problem.colour:
-            squares = np.concatenate([found.residual[b.place] for b in blocks]) ** 2
+        if channel not in problem.correlation:
+            squares = np.concatenate([result.residual[b.rows] for b in blocks]) ** 2
             count = int(np.count_nonzero(squares))
             # The noise level is of the same samples: its error adds as much as it takes.
             tests.append((float(np.sum(squares)) - count) / float(np.sqrt(2.0 * max(count, 1))))
         if tests and not problem.is_driven_by_force:
-            tests.append(_remembers(found, blocks))
+            tests.append(_remembers(result, blocks))
         # What another channel leaves of the same runs: their noises have nothing in common.
         elsewhere = np.zeros(len(problem.measured))
         others = {b.run: b for name in problem.scored_channels if name != channel for b in problem.blocks_of(name)}
         for block in blocks:
             if block.run in others and problem.case.runs[block.run].kind == "press":
-                elsewhere[block.place] = (problem.measured - found.predicted)[others[block.run].place]
+                elsewhere[block.rows] = (problem.measured - result.predicted)[others[block.run].rows]
         # A measured force that drives the chain is smoothed: what is left of its noise has a memory.
-        for group in () if problem.is_driven_by_force else problem.model.followed(found, channel):
+        for group in () if problem.is_driven_by_force else problem.model.followed(result, channel):
             columns = [*group, elsewhere] if elsewhere.any() else group
-            seen = projected([problem.whitened(column) for column in columns], found.jacobian)
+            visible = projected([problem.whitened(column) for column in columns], result.jacobian)
             # A direction takes 1 off χ² by chance.
-            chi2 = float(np.sum((seen @ found.residual) ** 2)) if len(seen) else 0.0
-            tests.append(_standard(chi2, len(seen)) if len(seen) else 0.0)
+            chi2 = float(np.sum((visible @ result.residual) ** 2)) if len(visible) else 0.0
+            tests.append(_standard(chi2, len(visible)) if len(visible) else 0.0)
         # The worst of several tests (Bonferroni).
         chances.append(min(1.0, len(tests) * float(ndtr(-max(tests)))) if tests else 1.0)
     return min(chances)
 
 
-def _is_even(found: Fit, channel: str) -> bool:
+def _is_even(result: Fit, channel: str) -> bool:
     """Whether one fading noise fits both of two conditions alike; white noise may grow with the load."""
-    problem, config = found.problem, found.problem.method.floor
-    white, colour = problem.sigma[channel], problem.colour[channel]
+    problem, config = result.problem, result.problem.method.floor
+    white, correlation = problem.sigma[channel], problem.correlation[channel]
     blocks = problem.blocks_of(channel)
-    for halves in zip(*(list(problem.model.halves(found, block)) for block in blocks), strict=True):
+    for halves in zip(*(list(problem.model.halves(result, block)) for block in blocks), strict=True):
         pairs = [(b, is_in) for b, is_in in zip(blocks, halves, strict=True) if is_in is not None]
         sides = [[(b, (is_in == side).astype(np.float64)) for b, is_in in pairs] for side in (False, True)]
-        parts = [[_stretch(found, b, use) for b, use in side] for side in sides]
-        if any(sum(float(s.use.sum()) for s in part) < config.fewest for part in parts):
+        parts = [[_stretch(result, b, is_used) for b, is_used in side] for side in sides]
+        if any(sum(float(s.is_used.sum()) for s in part) < config.fewest for part in parts):
             continue
         gain = 0.0
         for part in parts:
             # Against this fading noise beside any white one.
-            lost = partial(lambda x, part: -log_likelihood(part, white * float(np.exp(x)), colour), part=part)
-            common = minimize_scalar(lost, bounds=(-2.0, 2.0), method="bounded")
-            gain += read_noise(part, problem.colour_config).log_likelihood + float(common.fun)
+            loss = partial(lambda x, part: -log_likelihood(part, white * float(np.exp(x)), correlation), part=part)
+            common = minimize_scalar(loss, bounds=(-2.0, 2.0), method="bounded")
+            gain += read_noise(part, problem.correlation_config).log_likelihood + float(common.fun)
         if gain >= config.uneven:
             return False
     return True
 
 
-def _remembers(found: Fit, blocks: Sequence[Block]) -> float:
+def _remembers(result: Fit, blocks: Sequence[Block]) -> float:
     """Return by how many standard errors a residual follows its own past (Box and Pierce 1970)."""
-    lags = found.problem.method.floor.lags
-    parts = [found.residual[b.place] for b in blocks]
+    lags = result.problem.method.floor.lags
+    parts = [result.residual[b.rows] for b in blocks]
     products, count, energy = np.zeros(lags), 0, 0.0
     for part in parts:
         count, energy = count + len(part), energy + float(part @ part)
@@ -244,7 +248,7 @@ def _standard(chi2: float, freedom: int) -> float:
     return float((np.cbrt(chi2 / freedom) - 1.0 + wide) / np.sqrt(wide))
 
 
-def with_driving_noise(problem: Problem, found: Fit) -> Problem:
+def with_driving_noise(problem: Problem, result: Fit) -> Problem:
     """Return the problem with the noise of a measured force where it drives the chain.
 
     σ² = σV² + (dV/dF·σF)²: errors in variables to first order.
@@ -258,14 +262,18 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
         run = case.runs[block.run]
         force_N = np.asarray(run.force_N)
         order = np.argsort(force_N, kind="stable")
-        x, y = force_N[order], found.predicted[block.place][order]
+        x, y = force_N[order], result.predicted[block.rows][order]
         # A slope from neighbours would be noise over noise; a 24th of the samples shows the curve's.
         edges = np.linspace(0, len(x) - 1, 25).astype(int)
-        keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
-        slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
-        slope = np.interp(force_N, x[edges][keep], slopes)
+        is_distinct = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
+        slopes = (
+            np.gradient(y[edges][is_distinct], x[edges][is_distinct])
+            if is_distinct.sum() > 2
+            else np.zeros(int(is_distinct.sum()))
+        )
+        slope = np.interp(force_N, x[edges][is_distinct], slopes)
         # Smoothed noise moves slowly: it counts as often as samples share it.
-        extra[block.place] = (2 * HALF_WIDTH + 1) * (slope * run.driving_force.sigma_N) ** 2
+        extra[block.rows] = (2 * HALF_WIDTH + 1) * (slope * run.driving_force.sigma_N) ** 2
     return replace(problem, extra_variance=extra)
 
 
@@ -274,7 +282,7 @@ class Quantified:
     """The gap per channel before and after, and by how much it shrinks."""
 
     gap: dict[str, ChannelGap]
-    shrink: Shrink
+    explained_fraction: ExplainedFraction
     protocol: str
     chosen: tuple[tuple[str, ...], ...] = ()
     """Causes that are chosen where each part of the samples, in turn, is held back."""
@@ -282,12 +290,12 @@ class Quantified:
     gain_error: float = 0.0
     """By how much χ² falls on samples no fit has seen, and its standard error. It tells smaller effects than the shrink
     does: that one compares roots of mean squares with a noise level that is estimated too."""
-    config: ShrinkConfig = ShrinkConfig()
+    config: ExplainedFractionConfig = ExplainedFractionConfig()
 
     @property
-    def stands(self) -> bool:
+    def is_supported(self) -> bool:
         """Whether the causes lower the gap on samples held back, by more than its noise."""
-        return self.held_out_gain > self.config.beyond * self.gain_error and self.shrink.held_out > 0.0
+        return self.held_out_gain > self.config.beyond * self.gain_error and self.explained_fraction.held_out > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,14 +313,14 @@ class _Fold:
         foretold = [replace(f, chi2=f.chi2 - float(slope @ f.covariance @ slope)) for f, slope in pull]
         yardstick = Yardstick.of((*now, *foretold))
         config = problem.method.shrink
-        least = max(map(yardstick.log_evidence, now)) - config.near
-        near = sorted((f for f in foretold if yardstick.log_evidence(f) > least), key=lambda f: f.bic)
+        min_evidence = max(map(yardstick.log_evidence, now)) - config.near
+        near = sorted((f for f in foretold if yardstick.log_evidence(f) > min_evidence), key=lambda f: f.bic)
         fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[: config.most_chosen_from]]
         yardstick = Yardstick.of((*now, *fitted))
         return replace(self, after=max((*now, *fitted), key=yardstick.log_evidence))
 
 
-def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = False) -> Quantified:
+def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_chosen: bool = False) -> Quantified:
     """Refit base and hypothesis without a part of the samples, forecast the shrink there, then look.
 
     Whole runs are held back in turn; with one run, or an effect of one run, stretches of every run are.
@@ -321,25 +329,27 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
 
     Args:
         others: hypotheses that may be chosen where a part is held back, fitted to all samples.
-        is_given: measure this hypothesis on every part, whatever would be chosen there.
+        is_chosen: measure this hypothesis on every part, whatever would be chosen there.
     """
     folds, protocol = _folds(base.problem, best.hypothesis)
-    seen = [_refit(base, best, unseen) for unseen in folds]
+    folds_refitted = [_refit(base, best, unseen) for unseen in folds]
     if not best.ids:
-        gap = {c: _channel_gap(seen, best.problem, c) for c in best.problem.scored_channels}
-        return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
+        gap = {c: _channel_gap(folds_refitted, best.problem, c) for c in best.problem.scored_channels}
+        return Quantified(gap, ExplainedFraction(0.0, 0.0, 0.0, 0.0), protocol)
     # Every fold has the base; what belongs to one run foretells no other.
-    rivals = [
+    competing = [
         other
         for other in others
         if other.ids not in ((), best.ids) and not any(effect.belongs_to_run for effect in other.effects)
     ]
-    chosen = seen if is_given else [fold.chosen(rivals) for fold in seen]
+    chosen = folds_refitted if is_chosen else [fold.chosen(competing) for fold in folds_refitted]
     gap = {c: _channel_gap(chosen, best.problem, c) for c in best.problem.scored_channels}
     config = best.problem.method.shrink
-    shrink = Shrink.checked(_forecast(seen, best), _shrink_of(gap.values()), config)
+    explained_fraction = ExplainedFraction.checked(
+        _forecast(folds_refitted, best), _explained_fraction(gap.values()), config
+    )
     ids = tuple(fold.after.ids for fold in chosen)
-    return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem), config)
+    return Quantified(gap, explained_fraction, protocol, ids, *_held_out_gain(chosen, best.problem), config)
 
 
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
@@ -351,7 +361,7 @@ def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
     unseen = np.zeros((len(parts), len(problem.measured)), dtype=np.bool_)
     for block in problem.blocks:
         stretch = (problem.case.runs[block.run].elapsed_s / config.block_s).astype(int) % config.parts
-        unseen[:, block.place] = parts[:, np.newaxis] == (block.run if is_by_run else stretch)
+        unseen[:, block.rows] = parts[:, np.newaxis] == (block.run if is_by_run else stretch)
     return list(unseen), f"{'one run after the other' if is_by_run else 'stretches of every run'} held back"
 
 
@@ -363,11 +373,11 @@ def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
     return _Fold(unseen, before, after)
 
 
-def held_out_error(base: Fit, found: Fit) -> float:
+def held_out_error(base: Fit, result: Fit) -> float:
     """Return the error of a hypothesis on samples held back in turn, RMS in units of the noise."""
-    problem, squares, count = found.problem, 0.0, 0
-    for unseen in _folds(problem, found.hypothesis)[0]:
-        after = _refit(base, found, unseen).after
+    problem, squares, count = result.problem, 0.0, 0
+    for unseen in _folds(problem, result.hypothesis)[0]:
+        after = _refit(base, result, unseen).after
         errors = problem.whitened(problem.measured - after.predicted)[np.flatnonzero(unseen)]
         squares, count = squares + energy(errors), count + len(errors)
     return float(np.sqrt(squares / max(count, 1)))
@@ -378,7 +388,7 @@ def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Arr
     for fold, error in zip(folds, errors, strict=True):
         # Presses alone count: they are what a twin is for, weights and resistors only calibrate it.
         for block in problem.blocks_of(channel, "press"):
-            members = error[block.place][fold.unseen[block.place]]
+            members = error[block.rows][fold.unseen[block.rows]]
             squares, count = squares + float(members @ members), count + len(members)
     return float(np.sqrt(squares / max(count, 1)))
 
@@ -412,15 +422,15 @@ def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelG
     measured = problem.measured
     before = _pooled(folds, problem, channel, [measured - f.before.predicted for f in folds])
     after = _pooled(folds, problem, channel, [measured - f.after.predicted for f in folds])
-    return ChannelGap(before, after, problem.floor(channel))
+    return ChannelGap(before, after, problem.noise_floor(channel))
 
 
-def _shrink_of(channels: Iterable[ChannelGap]) -> float:
-    gap = left = 0.0
+def _explained_fraction(channels: Iterable[ChannelGap]) -> float:
+    gap = residual_gap = 0.0
     for one in channels:
         gap += max(one.rmse_before - one.noise_floor, 0.0) / one.noise_floor
-        left += max(one.rmse_after - one.noise_floor, 0.0) / one.noise_floor
-    return float(np.clip(1.0 - left / gap, 0.0, 1.0)) if gap > 0 else 0.0
+        residual_gap += max(one.rmse_after - one.noise_floor, 0.0) / one.noise_floor
+    return float(np.clip(1.0 - residual_gap / gap, 0.0, 1.0)) if gap > 0 else 0.0
 
 
 def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
@@ -434,41 +444,41 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     for fold in folds:
         # (samples,) standard deviation of the prediction by that of the parameters: the diagonal of J C Jᵀ alone, for
         # the whole matrix would be samples by samples.
-        found = fold.after
-        whole = found.problem.seeing(np.ones(len(found.problem.measured)))
-        slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
-        spreads.append(np.sqrt(np.maximum(np.sum(found.covariance @ slopes * slopes, axis=0), 0.0)))
+        result = fold.after
+        unweighted = result.problem.seeing(np.ones(len(result.problem.measured)))
+        slopes = fit(unweighted, result.hypothesis, result.coordinates, steps=0).slopes
+        spreads.append(np.sqrt(np.maximum(np.sum(result.covariance @ slopes * slopes, axis=0), 0.0)))
     is_noise, likely, pessimist, optimist = problem.model.is_clean(best), [], [], []
     for channel in problem.scored_channels:
-        floor = problem.floor(channel)
+        noise_floor = problem.noise_floor(channel)
         # What the hypothesis leaves above the floor. Where a measured force drives the chain its noise is part of it:
         # nothing removes it on other samples either.
-        parts = [(problem.measured - best.predicted)[b.place] for b in problem.blocks_of(channel)]
-        error = np.concatenate(parts) / floor
+        parts = [(problem.measured - best.predicted)[b.rows] for b in problem.blocks_of(channel)]
+        error = np.concatenate(parts) / noise_floor
         # One standard error is taken off: what a right hypothesis leaves scatters about 1.
-        left = floor * float(np.sqrt(max(0.0, float(np.mean(error**2)) - 1.0 - np.sqrt(2.0 / len(error)))))
+        structured = noise_floor * float(np.sqrt(max(0.0, float(np.mean(error**2)) - 1.0 - np.sqrt(2.0 / len(error)))))
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
         spread = _pooled(folds, problem, channel, spreads)
-        unexplained = 0.0 if is_noise else left
-        before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (unexplained, left)]
-        likely.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2 + spread**2)), floor))
-        after = float(np.sqrt(floor**2 + (config.left_grows * left) ** 2 + (2.0 * spread) ** 2))
-        pessimist.append(ChannelGap(before[1], after, floor))
+        unexplained = 0.0 if is_noise else structured
+        before = [float(np.sqrt(noise_floor**2 + parted**2 + part**2)) for part in (unexplained, structured)]
+        likely.append(ChannelGap(before[0], float(np.sqrt(noise_floor**2 + unexplained**2 + spread**2)), noise_floor))
+        after = float(np.sqrt(noise_floor**2 + (config.left_grows * structured) ** 2 + (2.0 * spread) ** 2))
+        pessimist.append(ChannelGap(before[1], after, noise_floor))
         # What these runs do not tell of a parameter may turn out to be right.
-        optimist.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2)), floor))
-    predicted = _shrink_of(likely)
-    margin = max(config.least_margin, predicted - _shrink_of(pessimist))
-    return predicted, max(0.0, predicted - margin), min(1.0, max(predicted + margin, _shrink_of(optimist)))
+        optimist.append(ChannelGap(before[0], float(np.sqrt(noise_floor**2 + unexplained**2)), noise_floor))
+    predicted = _explained_fraction(likely)
+    margin = max(config.least_margin, predicted - _explained_fraction(pessimist))
+    return predicted, max(0.0, predicted - margin), min(1.0, max(predicted + margin, _explained_fraction(optimist)))
 
 
-def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
+def on_unseen(group: tuple[Fit, ...], rejected: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
     """Return rivals but those that add a cause that lowers nothing on unseen samples; and these causes."""
     best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
         added = set(other.ids) - set(best.ids)
         # Another form of a cause may hold what a second one is: nothing is left for that to lower.
         is_larger = set(best.ids) < set(other.ids) and not any(form_of(best, effect) for effect in best.effects)
-        if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
+        if is_larger and (added & rejected or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
             idle |= added
         else:
             in_play.append(other)

@@ -13,59 +13,59 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal.core.gap.episodes import PLACERS, placed_again
+from softcal.core.gap.episodes import PLACERS, relocate_episodes
 from softcal.core.gap.evidence import Yardstick, log_evidences
-from softcal.core.gap.fit import Fit, Lead, Probe, Tangent, fit
+from softcal.core.gap.fit import Candidate, Fit, Probe, Tangent, fit
 from softcal.core.gap.linear import energy, from_fit, projected, start_coordinates, to_fit
-from softcal.core.gap.residual import coloured, is_noise, noise_of, with_driving_noise
+from softcal.core.gap.residual import is_noise, noise_of, with_correlated_noise, with_driving_noise
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, SearchTarget
 
 GENTLER = (0.1, 0.003)
 """Shares of a promised size from which a fit begins once more."""
 
-KEPT_PART = 0.1
+MIN_GAIN_SHARE = 0.1
 """Share of the promised drop of χ² that a fit must bring, or it begins once more."""
 
 
-def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
+def joined(parent: Fit, candidate: Candidate, steps: int = 20) -> Fit:
     """Fit an effect jointly with its parent, from other starts too where the first leads nowhere.
 
     A step along the slopes ends far off where the surface bends; an effect nearly off can only gain.
     """
-    hypothesis = parent.hypothesis.adding(lead.effect)
-    best = fit(parent.problem, hypothesis, lead.start(parent), steps=steps)
+    hypothesis = parent.hypothesis.adding(candidate.effect)
+    best = fit(parent.problem, hypothesis, candidate.start(parent), steps=steps)
     for share in GENTLER:
-        if best.chi2 < parent.chi2 - KEPT_PART * lead.gain:
+        if best.chi2 < parent.chi2 - MIN_GAIN_SHARE * candidate.gain:
             break
-        again = fit(parent.problem, hypothesis, lead.start(parent, share), steps=2 * steps)
-        best = min(best, again, key=lambda found: found.chi2)
+        again = fit(parent.problem, hypothesis, candidate.start(parent, share), steps=2 * steps)
+        best = min(best, again, key=lambda result: result.chi2)
     return best
 
 
-def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
+def screen(result: Fit, candidates: Sequence[Probe]) -> list[Candidate]:
     """Return the best lead of every effect that is not in the fit yet, best first.
 
     Of the change that a probe makes only what the fitted parameters cannot imitate counts (Rao's score
     test).
     """
-    space = Tangent(found)
-    best: dict[str, Lead] = {}
-    candidates = [probe for probe in candidates if probe.effect.id not in found.ids]
-    found.problem.prepare([space.place_of(probe) for probe in candidates])
+    space = Tangent(result)
+    best: dict[str, Candidate] = {}
+    candidates = [probe for probe in candidates if probe.effect.id not in result.ids]
+    result.problem.prepare([space.extended_start(probe) for probe in candidates])
     for probe in candidates:
-        lead = space.lead(probe)
-        if lead is not None and (probe.effect.id not in best or lead.gain > best[probe.effect.id].gain):
-            best[probe.effect.id] = lead
-    return sorted(best.values(), key=lambda lead: -lead.gain)
+        candidate = space.score_candidate(probe)
+        if candidate is not None and (probe.effect.id not in best or candidate.gain > best[probe.effect.id].gain):
+            best[probe.effect.id] = candidate
+    return sorted(best.values(), key=lambda candidate: -candidate.gain)
 
 
-def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
+def hiding(result: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
     """Return the last probe of every effect that the fitted parameters imitate to this share."""
-    space = Tangent(found)
+    space = Tangent(result)
     last: dict[str, Probe] = {}
     for probe in candidates:
-        if probe.effect.id in found.ids:
+        if probe.effect.id in result.ids:
             continue
         signature = space.signature(probe)
         size = energy(signature)
@@ -80,37 +80,37 @@ Progress = Callable[[str], None]
 class Search:
     """All hypotheses fitted to one case, under one noise level."""
 
-    def __init__(self, base: Fit, candidates: Sequence[Effect], say: Progress = lambda _: None) -> None:
-        self.model, self.candidates, self.say = base.problem.model, candidates, say
+    def __init__(self, base: Fit, candidates: Sequence[Effect], on_progress: Progress = lambda _: None) -> None:
+        self.model, self.candidates, self.on_progress = base.problem.model, candidates, on_progress
         self._config = self.model.search_config
         self._probes = self.model.probes(base, candidates)
-        self._to_place = [effect for effect in candidates if effect.signs.search_target is not None]
+        self._episodic = [effect for effect in candidates if effect.signs.search_target is not None]
         self.start = self.base = self.best = base
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.unmodelled: Fit | None = None
-        self.held_open: dict[str, Fit] = {}
+        self.not_excluded: dict[str, Fit] = {}
         """Causes that another equation of those beside them explains as well, with fits."""
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
         parents = [self.base]
-        for size, leads in enumerate(self._config.leads, start=1):
-            self.say(f"fitting {size} effect{'s' if size > 1 else ''} jointly with the base")
-            grown = [child for parent in parents for child in self._grow(parent, leads)]
+        for size, max_candidates in enumerate(self._config.leads, start=1):
+            self.on_progress(f"fitting {size} effect{'s' if size > 1 else ''} jointly with the base")
+            grown = [child for parent in parents for child in self._grow(parent, max_candidates)]
             if not grown:
                 break
             if size > 1:
                 # Episodes of the best hypotheses are placed anew, with all their causes in.
-                for found in sorted(self.fits.values(), key=lambda f: f.bic)[:4]:
-                    if found.hypothesis.episode_count and not self.model.is_clean(found):
-                        self.keep(placed_again(found))
+                for result in sorted(self.fits.values(), key=lambda f: f.bic)[:4]:
+                    if result.hypothesis.episode_count and not self.model.is_clean(result):
+                        self.store(relocate_episodes(result))
             self.settle_noise()
             if size == len(self._config.leads):
                 break
             leader = self.leader
-            is_promised = any(lead.gain > self._config.gain for lead in screen(leader, self._probes)[:1])
+            is_promised = any(candidate.gain > self._config.gain for candidate in screen(leader, self._probes)[:1])
             # What promises nothing to first order must be placed to know.
-            if not is_promised and not any(child.bic < leader.bic for child in self._placed(leader)):
+            if not is_promised and not any(child.bic < leader.bic for child in self._grow_episodic(leader)):
                 break
             ranked = sorted((f for f in self.fits.values() if len(f.ids) == size), key=lambda f: f.bic)
             # Several are grown on: the right pair often begins with the second-best single cause.
@@ -121,181 +121,185 @@ class Search:
         # Smaller hypotheses get the episodes that the closest one has: places are no cause.
         donor = self.closest
         placed = {e.id for e in donor.effects if e.is_episodic}
-        for ids, found in list(self.fits.items()) if donor.hypothesis.episode_count else ():
+        for ids, result in list(self.fits.items()) if donor.hypothesis.episode_count else ():
             if set(ids) < set(donor.ids) and placed <= set(ids):
-                hypothesis = replace(found.hypothesis, episodes=donor.hypothesis.episodes)
-                self.keep(fit(found.problem, hypothesis, found.coordinates))
+                hypothesis = replace(result.hypothesis, episodes=donor.hypothesis.episodes)
+                self.store(fit(result.problem, hypothesis, result.coordinates))
         self._conclude()
 
     def _conclude(self) -> None:
         """Choose among the catalogue's equations and other realisations of the likely causes."""
-        self.say("fitting other realisations of the likely causes")
-        self.best = self._most_likely
+        self.on_progress("fitting other realisations of the likely causes")
+        self.best = self._max_likelihood_fit
         is_settled = len(self.best.ids) < 2 and self.model.is_clean(self.best)
         share = self._config.rival if is_settled else self._config.likely
         singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
         likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
-        for found in likely[: self._config.with_forms]:
-            for form in self.model.forms_of(found.ids[0]):
-                self.keep(self._in_form(found, form))
+        for result in likely[: self._config.with_forms]:
+            for form in self.model.forms_of(result.ids[0]):
+                self.store(self._in_form(result, form))
         self.settle_noise()
-        self.best = self._most_likely
+        self.best = self._max_likelihood_fit
         for _ in range(2):
             before = self.best
             # One cause in another form, another left out: that may be what the equation leaves.
             for smaller in self.one_less(before).values():
                 for cause in smaller.ids if len(smaller.ids) > 1 else ():
                     for form in self.model.forms_of(cause):
-                        self.keep(self._in_form(smaller, form))
-            if self._most_likely.ids == before.ids:
+                        self.store(self._in_form(smaller, form))
+            if self._max_likelihood_fit.ids == before.ids:
                 break
-            self.best = self._most_likely
-        self._look_beside()
+            self.best = self._max_likelihood_fit
+        self._test_further_effects()
         # A departure outside the list stands alone or in the place of a cause.
         parents = self.one_less(self.best).values() if len(self.best.ids) > 1 else ()
         self.unmodelled = best_unmodelled(self.best, [self.base, *parents], list(self.fits.values()))
 
-    def hold_open(self) -> None:
+    def keep_not_excluded(self) -> None:
         """Take causes that a free form of the others imitates out of the best; they stay in play."""
         while len(self.best.ids) > 1:
-            smaller = {i: found for i, found in self.one_less(self.best).items() if self.is_explained(found)}
-            imitated = imitated_causes(self.best, smaller)
-            if not imitated:
+            smaller = {i: result for i, result in self.one_less(self.best).items() if self.is_explained(result)}
+            with_surrogate = causes_with_surrogate(self.best, smaller)
+            if not with_surrogate:
                 break
-            self.held_open[imitated[0]] = self.best
-            self.best = smaller[imitated[0]]
+            self.not_excluded[with_surrogate[0]] = self.best
+            self.best = smaller[with_surrogate[0]]
         # Beside what is left, not beside one another.
-        for effect_id, larger in self.held_open.items():
+        for effect_id, larger in self.not_excluded.items():
             alone = tuple(sorted({*self.best.ids, effect_id}))
-            self.held_open[effect_id] = self.fits.get(alone, larger)
+            self.not_excluded[effect_id] = self.fits.get(alone, larger)
 
-    def one_less(self, found: Fit) -> dict[str, Fit]:
+    def one_less(self, result: Fit) -> dict[str, Fit]:
         """Return the fits without each of the causes of a hypothesis, by that cause."""
-        ids = found.ids
+        ids = result.ids
         return {i: self.fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in self.fits}
 
-    def _look_beside(self) -> None:
+    def _test_further_effects(self) -> None:
         """Fit what may stand beside the best hypothesis: small or hidden effects."""
         for _ in range(3):
             parent = self.best
             if not parent.ids:
                 return
             larger = [
-                joined(parent, lead, steps=40)
-                for lead in screen(parent, self._probes)
-                if lead.gain > self._config.beside or lead.hidden > self._config.hiding
+                joined(parent, candidate, steps=40)
+                for candidate in screen(parent, self._probes)
+                if candidate.gain > self._config.beside or candidate.hidden > self._config.hiding
             ]
-            for found in larger:
-                self.keep(found)
+            for result in larger:
+                self.store(result)
             if larger:
                 # What a larger fit gains may be a better minimum of the smaller one.
                 # A better base found beside a larger hypothesis serves the smaller one as well.
-                closest = min(larger, key=lambda found: found.chi2)
-                self.keep(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
+                closest = min(larger, key=lambda result: result.chi2)
+                self.store(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
             # Effects that hide promise little: they are fitted in the place of each cause.
             for rest in self.one_less(parent).values():
                 for probe in hiding(rest, self._probes, self._config.hiding) if rest.ids else ():
                     if tuple(sorted({*rest.ids, probe.effect.id})) not in self.fits:
                         start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
-                        self.keep(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
-            self.best = self._most_likely
+                        self.store(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
+            self.best = self._max_likelihood_fit
             if self.best.ids == parent.ids and self.best.chi2 > parent.chi2 - 1.0:
                 return
 
     @property
-    def _most_likely(self) -> Fit:
+    def _max_likelihood_fit(self) -> Fit:
         logs = log_evidences(self.fits)
         return self.fits[max(logs, key=lambda ids: logs[ids])]
 
-    def share(self, found: Fit) -> float:
+    def share(self, result: Fit) -> float:
         """Return which share of the excess of the base over the noise a hypothesis takes away."""
         excess = self.base.chi2 - self.base.problem.count
-        return 1.0 - (found.chi2 - found.problem.count) / excess if excess > 0 else 1.0
+        return 1.0 - (result.chi2 - result.problem.count) / excess if excess > 0 else 1.0
 
-    def explained_share(self, found: Fit) -> float:
+    def explained_share(self, result: Fit) -> float:
         """Return the share within [0, 1], as reports give it."""
-        return float(np.clip(self.share(found), 0.0, 1.0))
+        return float(np.clip(self.share(result), 0.0, 1.0))
 
     @property
     def closest(self) -> Fit:
         """The fit that leaves least, however many causes it takes."""
-        return min(self.fits.values(), key=lambda found: found.chi2)
+        return min(self.fits.values(), key=lambda result: result.chi2)
 
-    def is_explained(self, found: Fit) -> bool:
+    def is_explained(self, result: Fit) -> bool:
         """Whether nothing is left, or as little as another equation of the causes leaves."""
-        if self.model.is_clean(found):
+        if self.model.is_clean(result):
             return True
         enough = self._config.enough
-        return self.share(found) >= enough[min(len(found.ids), len(enough)) - 1]
+        return self.share(result) >= enough[min(len(result.ids), len(enough)) - 1]
 
     @property
     def leader(self) -> Fit:
         """The hypothesis of best evidence in white noise: the one to grow further."""
         return min(self.fits.values(), key=lambda f: f.bic)
 
-    def _in_form(self, found: Fit, form: Form) -> Fit:
-        at = [e.id for e in found.effects].index(form.effect.id)
-        rows = [list(values) for values in found.effect_values]
-        others = [e for e in found.effects if e.id != form.effect.id]
-        first = form.start(rows[at], found.problem.scale.factor)
+    def _in_form(self, result: Fit, form: Form) -> Fit:
+        at = [e.id for e in result.effects].index(form.effect.id)
+        rows = [list(values) for values in result.effect_values]
+        others = [e for e in result.effects if e.id != form.effect.id]
+        first = form.start(rows[at], result.problem.scale.factor)
         start = start_coordinates([*others, form.effect], [*rows[:at], *rows[at + 1 :], first])
-        hypothesis = replace(found.hypothesis, effects=(*others, form.effect))
-        base = found.coordinates[hypothesis.of_base]
-        return fit(found.problem, hypothesis, np.concatenate([base, start]), steps=30)
+        hypothesis = replace(result.hypothesis, effects=(*others, form.effect))
+        base = result.coordinates[hypothesis.of_base]
+        return fit(result.problem, hypothesis, np.concatenate([base, start]), steps=30)
 
-    def keep(self, found: Fit) -> None:
+    def store(self, result: Fit) -> None:
         """Keep the best fit of its causes; one where a simulator fails is none."""
-        if found.chi2 == np.inf:
+        if result.chi2 == np.inf:
             return
-        if (before := self.fits.get(found.ids)) is not None:
+        if (before := self.fits.get(result.ids)) is not None:
             # The same causes may end in several minima; one noise level judges them all.
-            found = max(before, found, key=Yardstick.of((*self.fits.values(), found)).log_evidence)
-        self.fits[found.ids] = found
+            result = max(before, result, key=Yardstick.of((*self.fits.values(), result)).log_evidence)
+        self.fits[result.ids] = result
 
     def grown_from(self, parent: Fit) -> list[Fit]:
         """Return fits of another start with each of its likeliest effects; none is kept."""
-        leads = screen(parent, self._probes)[: self._config.leads[-1]]
-        return [joined(parent, lead) for lead in leads] + self._placed(parent)
+        candidates = screen(parent, self._probes)[: self._config.leads[-1]]
+        return [joined(parent, candidate) for candidate in candidates] + self._grow_episodic(parent)
 
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
-        leads = screen(parent, self._probes)
-        strongest = leads[0].gain if leads else 0.0
+        candidates = screen(parent, self._probes)
+        strongest = candidates[0].gain if candidates else 0.0
         # A promise is first order: the refitted base gives more, so that less is asked at first.
         need = max(self._config.gain / 3, self._config.relative_gain * strongest)
-        tried = {lead.effect.id: tuple(sorted({*parent.ids, lead.effect.id})) for lead in leads}
-        new = [lead for lead in leads[:count] if lead.gain >= need and tried[lead.effect.id] not in self.fits]
-        children = [joined(parent, lead) for lead in new] + self._placed(parent)
+        ids_with = {candidate.effect.id: tuple(sorted({*parent.ids, candidate.effect.id})) for candidate in candidates}
+        new = [
+            candidate
+            for candidate in candidates[:count]
+            if candidate.gain >= need and ids_with[candidate.effect.id] not in self.fits
+        ]
+        children = [joined(parent, candidate) for candidate in new] + self._grow_episodic(parent)
         for child in children:
-            self.keep(child)
+            self.store(child)
         return children
 
-    def _placed(self, parent: Fit) -> list[Fit]:
+    def _grow_episodic(self, parent: Fit) -> list[Fit]:
         """Return the parent with each effect that must be placed first and could be."""
-        missing = [e for e in self._to_place if e.id not in parent.ids]
-        found = []
+        missing = [e for e in self._episodic if e.id not in parent.ids]
+        result = []
         for side in (side for e in missing for side in (e, *e.sides)):
             if (search_target := side.signs.search_target) is None:
                 size = side.parameters[0].name
                 raise ValueError(f"{side.id} ({size}) has a side that is placed and must be placed too")
-            found.append((search_target, PLACERS[search_target](parent, side)))
+            result.append((search_target, PLACERS[search_target](parent, side)))
         # Steps placed freely in time take a little off any structure; they must take a visible part.
-        least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
+        min_gain = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
             child
-            for search_target, child in found
-            if child is not None and (search_target != SearchTarget.INTERVALS or parent.chi2 - child.chi2 > least)
+            for search_target, child in result
+            if child is not None and (search_target != SearchTarget.INTERVALS or parent.chi2 - child.chi2 > min_gain)
         ]
 
     def settle_noise(self) -> None:
         """Score all hypotheses under the noise that the best one leaves: their χ² compare."""
         best = self.leader
         problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
-        self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
-        if problem.colour:
+        self.fits = {ids: result.under(problem) for ids, result in self.fits.items()}
+        if problem.correlation:
             # Under another colour the least squares lie elsewhere: the likeliest are fitted on.
             likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
-            for found in {id(f): f for f in (self.fits[()], *likely)}.values():
-                self.fits[found.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
+            for result in {id(f): f for f in (self.fits[()], *likely)}.values():
+                self.fits[result.ids] = fit(problem, result.hypothesis, result.coordinates, steps=6)
         self.base = self.fits[()]
 
 
@@ -308,11 +312,11 @@ def best_unmodelled(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> F
         Probe(e, (problem.scale.sized(e.parameters[0]).usual,), e.is_one_sided)
         for e in problem.model.departures(problem.case)
     ]
-    found = [joined(parent, lead) for parent in parents for lead in screen(parent, probes)[:1]]
-    if not found:
+    joint_fits = [joined(parent, candidate) for parent in parents for candidate in screen(parent, probes)[:1]]
+    if not joint_fits:
         return None
-    yardstick = Yardstick.of((*fits, *found))
-    closest = max(found, key=yardstick.log_evidence)
+    yardstick = Yardstick.of((*fits, *joint_fits))
+    closest = max(joint_fits, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
     is_decisive = ahead > (
         problem.method.unmodelled.clean_odds if problem.model.is_clean(closest) else problem.method.rival.odds
@@ -322,48 +326,48 @@ def best_unmodelled(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> F
     return closest if is_decisive and is_better else None
 
 
-def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
+def causes_with_surrogate(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
     """Return the causes that a free form of the others, `smaller`, imitates, the weakest first."""
-    order, least = sorted(smaller, key=lambda one: smaller[one].chi2), best.problem.method.unmodelled.imitated
-    return [effect_id for effect_id in order if imitation(smaller[effect_id], best) >= least]
+    order, min_share = sorted(smaller, key=lambda one: smaller[one].chi2), best.problem.method.unmodelled.imitated
+    return [effect_id for effect_id in order if surrogate_share(smaller[effect_id], best) >= min_share]
 
 
-def imitation(rest: Fit, best: Fit) -> float:
+def surrogate_share(rest: Fit, best: Fit) -> float:
     """Return which share of a larger hypothesis's gain a free form of a smaller one has as well."""
     gain = rest.chi2 - best.chi2
     if gain <= 0.0 or not rest.ids:
         return 0.0
     rows = [rest.problem.whitened(row) for effect in rest.effects for row in _directions(rest, effect)]
-    seen = projected(rows, rest.jacobian)
-    if not len(seen):
+    visible = projected(rows, rest.jacobian)
+    if not len(visible):
         return 0.0
     # Each direction takes 1 off χ² by chance.
-    taken = float(np.sum((seen @ rest.residual) ** 2)) - len(seen)
-    return taken / gain
+    explained = float(np.sum((visible @ rest.residual) ** 2)) - len(visible)
+    return explained / gain
 
 
-def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
+def _directions(result: Fit, effect: Effect) -> Iterator[Array]:
     """Yield (samples,) changes of the prediction that another equation of one cause may bring."""
-    problem, at = found.problem, found.hypothesis.slices[effect.id]
-    own = range(at.start, at.stop)
+    problem, at = result.problem, result.hypothesis.slices[effect.id]
+    indices = range(at.start, at.stop)
     parameters = [problem.scale.sized(p) for p in effect.parameters]
     # A size without a shape is its own shape: a toe, a play, a delay.
-    shapes = list(zip(own, parameters, strict=True))[1:] or list(zip(own, parameters, strict=True))
+    shapes = list(zip(indices, parameters, strict=True))[1:] or list(zip(indices, parameters, strict=True))
     # A hum at another pitch, or with other phases, is another hum.
     for k, parameter in () if effect.belongs_to_run else shapes:
         for ratio in problem.method.unmodelled.ratios:
-            moved = found.coordinates.copy()
+            moved = result.coordinates.copy()
             value = from_fit(parameter, moved[k])
             if np.isfinite(value) and value != 0.0:
                 moved[k] = to_fit(parameter, float(np.clip(ratio * value, parameter.low, parameter.high)))
-            if moved[k] != found.coordinates[k]:
-                yield problem.predict(found.hypothesis, moved) - found.predicted
-    without, left = found.hypothesis.without(effect.id)
-    signature = found.predicted - problem.predict(without, found.coordinates[left])
+            if moved[k] != result.coordinates[k]:
+                yield problem.predict(result.hypothesis, moved) - result.predicted
+    without, is_retained = result.hypothesis.without(effect.id)
+    signature = result.predicted - problem.predict(without, result.coordinates[is_retained])
     # Load and time relative to the largest, each with its square.
-    load, time = problem.model.load_of(found), np.zeros(len(problem.measured))
+    load, time = problem.model.load_of(result), np.zeros(len(problem.measured))
     for block in problem.blocks:
-        time[block.place] = problem.case.runs[block.run].elapsed_s
+        time[block.rows] = problem.case.runs[block.run].elapsed_s
     load, time = load / (np.max(np.abs(load)) or 1.0), time / (np.max(time) or 1.0)
     of_load, of_time = [load, load**2], [time, time**2]
     # A delay that grows with time is a rate, a cause of its own.
@@ -371,20 +375,20 @@ def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
         yield signature * course
 
 
-def under_its_floor(search: Search) -> Search:
+def search_under_correlated_noise(search: Search) -> Search:
     """Search once more under noise that fades; keep that only where what is left is shown to be noise."""
     model, closest = search.model, search.closest
     if model.is_clean(search.best) and not model.is_uneven(search.best):
         return search
-    problem = coloured(closest)
+    problem = with_correlated_noise(closest)
     # What the most flexible hypothesis leaves is noise, or what a smaller one leaves is not either.
     if problem is None or not is_noise(fit(problem, closest.hypothesis, closest.coordinates)):
         return search
-    search.say("searching once more under noise that fades")
+    search.on_progress("searching once more under noise that fades")
     # Another noise moves the minimum a little: it is near the base's, or that of the closest.
     hypothesis, of_base = search.start.hypothesis, search.start.hypothesis.of_base
     starts = (search.start.coordinates, closest.coordinates[of_base])
     fits = [fit(problem, hypothesis, start, steps=60) for start in starts]
-    again = Search(min(fits, key=lambda found: found.chi2), search.candidates, search.say)
+    again = Search(min(fits, key=lambda result: result.chi2), search.candidates, search.on_progress)
     again.run()
     return again if again.unmodelled is None and model.is_clean(again.best) and is_noise(again.best) else search

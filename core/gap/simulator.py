@@ -40,7 +40,7 @@ SimulateMany: TypeAlias = Callable[[Sequence[tuple[Columns, Mapping[str, float]]
 OFFSETS = ("zero", "gain", "delay", "drift")
 """What a run may have of its own in a channel."""
 
-STRAIGHT = "straight"
+LINEAR = "straight"
 """How far a late channel goes by straight lines from sample to sample, 1, and not by a curve, 0."""
 
 
@@ -102,7 +102,7 @@ class Simulator:
     def __post_init__(self) -> None:
         if not callable(self.run):
             raise InputError(f"simulator {self.name}: run is {self.run!r}; a function was expected")
-        for what, names in (
+        for label, names in (
             ("channel", self.channels),
             ("base parameter", [p.name for p in (*self.base, *self.run_parameters)]),
             ("candidate", [c.id for c in self.candidates]),
@@ -110,11 +110,11 @@ class Simulator:
             ("input column", ["t_s", *self.inputs]),
         ):
             if not names:
-                raise InputError(f"simulator {self.name}: no {what} is given; at least one was expected")
+                raise InputError(f"simulator {self.name}: no {label} is given; at least one was expected")
             if isinstance(self.inputs, str) or isinstance(self.channels, str):
                 raise InputError(f"simulator {self.name}: inputs and channels are names in a tuple, as ('force_N',)")
             if len(set(names)) < len(names):
-                raise InputError(f"simulator {self.name}: two of the {what}s have one name: {', '.join(names)}")
+                raise InputError(f"simulator {self.name}: two of the {label}s have one name: {', '.join(names)}")
         self._check_bounds()
         self._check_priors()
         for channel, kinds in self.per_run.items():
@@ -152,8 +152,8 @@ class Simulator:
     def _check_bounds(self) -> None:
         for name, p in self.every_parameter.items():
             numbers = {"lower bound": p.low, "upper bound": p.high, "usual size": p.usual}
-            if wrong := [f"{what} {value!r}" for what, value in numbers.items() if not isinstance(value, Real)]:
-                raise InputError(f"simulator {self.name}: {name} has the {wrong[0]}; a number was expected")
+            if invalid := [f"{label} {value!r}" for label, value in numbers.items() if not isinstance(value, Real)]:
+                raise InputError(f"simulator {self.name}: {name} has the {invalid[0]}; a number was expected")
             bounds = f"simulator {self.name}: {name} has the bounds {p.low:g} and {p.high:g} {p.unit}".rstrip()
             if not -np.inf < p.low < p.high < np.inf:
                 raise InputError(f"{bounds}; two numbers were expected, the smaller first")
@@ -174,14 +174,14 @@ class Simulator:
     @cached_property
     def offsets(self) -> tuple[tuple[str, str], ...]:
         """Channel and kind of what each run may have of its own; delays have a straightness."""
-        own = [(channel, kind) for channel, kinds in self.per_run.items() for kind in kinds]
-        return (*own, *((channel, STRAIGHT) for channel, kind in own if kind == "delay"))
+        declared = [(channel, kind) for channel, kinds in self.per_run.items() for kind in kinds]
+        return (*declared, *((channel, LINEAR) for channel, kind in declared if kind == "delay"))
 
     def of_runs(self, names: Sequence[str]) -> "Simulator":
         """Return the simulator with a base parameter for each run of these names in place of its own parameters."""
-        own = tuple(replace(p, name=f"{p.name}@{name}") for name in names for p in self.run_parameters)
+        of_each_run = tuple(replace(p, name=f"{p.name}@{name}") for name in names for p in self.run_parameters)
         # A search begins at what is known.
-        with_priors = ((p, self.prior_of(p)) for p in (*self.base, *own))
+        with_priors = ((p, self.prior_of(p)) for p in (*self.base, *of_each_run))
         base = tuple(replace(p, usual=prior[0]) if prior is not None else p for p, prior in with_priors)
         return replace(self, base=base, run_parameters=())
 
@@ -195,14 +195,16 @@ class Simulator:
 
     def parameters_of(self, parameters: Mapping[str, float], run_name: str) -> Mapping[str, float]:
         """Return parameters as `run` takes them for one run: what that run has of its own by its plain name."""
-        own = {name: value for name, value in parameters.items() if "@" in name}
+        of_runs = {name: value for name, value in parameters.items() if "@" in name}
         usual = {p.name: p.usual for p in self.run_parameters if p.name not in parameters}
-        if not own and not usual:
+        if not of_runs and not usual:
             return parameters
-        mine = {name.partition("@")[0]: value for name, value in own.items() if name.endswith(f"@{run_name}")}
+        of_this_run = {
+            name.partition("@")[0]: value for name, value in of_runs.items() if name.endswith(f"@{run_name}")
+        }
         # A run that is not recorded yet begins where the first one did.
-        first = {name.partition("@")[0]: value for name, value in reversed(own.items())}
-        return usual | {name: value for name, value in parameters.items() if name not in own} | first | mine
+        first = {name.partition("@")[0]: value for name, value in reversed(of_runs.items())}
+        return usual | {name: value for name, value in parameters.items() if name not in of_runs} | first | of_this_run
 
     @cached_property
     def candidate_ids(self) -> frozenset[str]:
@@ -225,7 +227,7 @@ class Simulator:
         values = ((effect, zip(effect.parameters, effect.neutral_values, strict=True)) for effect in self.candidates)
         return {f"{effect.id}.{p.name}": value for effect, pairs in values for p, value in pairs}
 
-    def named(self, hypothesis: Hypothesis, coordinates: Array) -> dict[str, float]:
+    def parameter_values(self, hypothesis: Hypothesis, coordinates: Array) -> dict[str, float]:
         """Return the values at these coordinates of the fit, as `run` takes them."""
         base, values = hypothesis.split(coordinates)
         out = {p.name: value for p, value in zip(self.base, base, strict=True)} | self.neutral_values
@@ -263,14 +265,18 @@ class Simulator:
         return {name: values[run.skipped :] for name, values in channels.items()}
 
     def predict_many(
-        self, runs: Sequence["SimulatorRun"], places: Sequence[Mapping[str, float]]
+        self, runs: Sequence["SimulatorRun"], parameter_sets: Sequence[Mapping[str, float]]
     ) -> list[list[Columns | SimulatorFailed]]:
         """Return for every place of the parameters the channels of all runs, or how a run failed; in one call."""
         if self.run_many is None:
             raise ValueError(f"simulator {self.name} has no run_many")
-        asked = [(run.driving(self.inputs), self.parameters_of(place, run.name)) for place in places for run in runs]
-        answers = iter(self.run_many(asked))
-        return [[self._answer(next(answers), run, place) for run in runs] for place in places]
+        calls = [
+            (run.driving(self.inputs), self.parameters_of(parameters, run.name))
+            for parameters in parameter_sets
+            for run in runs
+        ]
+        answers = iter(self.run_many(calls))
+        return [[self._answer(next(answers), run, parameters) for run in runs] for parameters in parameter_sets]
 
     def _answer(
         self, answer: Columns | BaseException, run: "SimulatorRun", parameters: Mapping[str, float]
@@ -312,9 +318,9 @@ class Simulator:
         code = getattr(self.run, "__code__", None) or getattr(type(self.run).__call__, "__code__", None)
         return str(getattr(code, "co_filename", "")) or str(getattr(self.run, "__module__", "its module"))
 
-    def _failed(self, what: str, parameters: Mapping[str, float], line: str = "") -> SimulatorFailed:
+    def _failed(self, cause: str, parameters: Mapping[str, float], line: str = "") -> SimulatorFailed:
         at = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
-        return SimulatorFailed(f"simulator {self.name} ({self._file}{line}) fails: {what}; at {at}")
+        return SimulatorFailed(f"simulator {self.name} ({self._file}{line}) fails: {cause}; at {at}")
 
 
 PROBED = ExcitationRange(1.0, 1.0, 0.0, 1.0, 1.0, 1.0)
@@ -325,7 +331,7 @@ def _elsewhere(flow: Flow, values: Sequence[float], state: Memory) -> None:
     raise ValueError("this effect belongs to another simulator, not to the twin of a soft sensor")
 
 
-def _given(rows: Sequence[tuple[float, ...]], at: ExcitationRange) -> Sequence[tuple[float, ...]]:
+def _constant_probes(rows: Sequence[tuple[float, ...]], at: ExcitationRange) -> Sequence[tuple[float, ...]]:
     return rows
 
 
@@ -347,7 +353,7 @@ def candidate(
     """
     if not parameters or parameters[0].neutral is None:
         raise InputError(f"candidate {name}: its first parameter must have the neutral value that switches it off")
-    signs = Signs(probes=partial(_given, tuple(probes)) if probes else None, confounders=confounders)
+    signs = Signs(probes=partial(_constant_probes, tuple(probes)) if probes else None, confounders=confounders)
     return Effect(name, place, Hook.READING, "", "a simulator's own", parameters, _elsewhere, signs=signs)
 
 
@@ -357,11 +363,11 @@ class SimulatorRun(Run):
 
     Args:
         columns: its columns by name, (n,) each.
-        lead: the columns before, which are simulated and not compared; empty where there are none.
+        lead_in: the columns before, which are simulated and not compared; empty where there are none.
     """
 
     columns: Columns = field(default_factory=dict)
-    lead: Columns = field(default_factory=dict)
+    lead_in: Columns = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.t_s) < SHORTEST:
@@ -376,18 +382,18 @@ class SimulatorRun(Run):
     @property
     def skipped(self) -> int:
         """Samples at the start that are not compared."""
-        return len(self.lead["t_s"]) if self.lead else 0
+        return len(self.lead_in["t_s"]) if self.lead_in else 0
 
     def driving(self, inputs: Sequence[str]) -> dict[str, Array]:
         """Return `t_s` and the inputs from the first sample on, as a simulator takes them."""
         names = ("t_s", *inputs)
-        if not self.lead:
+        if not self.lead_in:
             return {name: self.columns[name] for name in names}
-        return {name: np.concatenate([self.lead[name], self.columns[name]]) for name in names}
+        return {name: np.concatenate([self.lead_in[name], self.columns[name]]) for name in names}
 
     def changed(self, change: Callable[[Columns], Columns]) -> "SimulatorRun":
         """Return the run with other columns, those before alike."""
-        return replace(self, columns=change(self.columns), lead=change(self.lead) if self.lead else {})
+        return replace(self, columns=change(self.columns), lead_in=change(self.lead_in) if self.lead_in else {})
 
 
 def recorded(simulator: Simulator, name: str, columns: Columns, profile: str = "") -> SimulatorRun:
@@ -416,14 +422,16 @@ def recorded(simulator: Simulator, name: str, columns: Columns, profile: str = "
 
 def _run(simulator: Simulator, name: str, columns: Columns, profile: str = "") -> SimulatorRun:
     first = simulator.first_compared(columns["t_s"])
-    lead, scored = ({n: values[part] for n, values in columns.items()} for part in (slice(first), slice(first, None)))
+    lead_in, scored = (
+        {n: values[part] for n, values in columns.items()} for part in (slice(first), slice(first, None))
+    )
     if first and len(scored["t_s"]) < SHORTEST:
         raise InputError(
             f"{name}: {len(scored['t_s'])} samples after skip_s = {simulator.skip_s:g} s; {SHORTEST} are needed"
         )
     # The electronics of a soft sensor mean nothing here.
     return SimulatorRun(
-        name, scored["t_s"], ReadoutMetadata(), profile=profile, columns=scored, lead=lead if first else {}
+        name, scored["t_s"], ReadoutMetadata(), profile=profile, columns=scored, lead_in=lead_in if first else {}
     )
 
 
@@ -496,8 +504,8 @@ class _Calls:
         self.names: set[str] = set()
         self.is_iterated = False
         # Watched where the user's own code reads: what a simulator does before that reads every name.
-        self._watched = replace(simulator, run=self._watch)
-        self._given: Mapping[str, float] = {}
+        self._recorded = replace(simulator, run=self._record_call)
+        self._constant_probes: Mapping[str, float] = {}
         self._read = _ReadNames({})
 
     def first(self, values: Mapping[str, float]) -> Array:
@@ -512,26 +520,28 @@ class _Calls:
         """Return the channels of the first run where every input swings about what was recorded."""
         driving = self._runs[0].driving(self.simulator.inputs)
         t_s = driving["t_s"]
-        phase = 2.0 * np.pi * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-300)
+        angle_rad = 2.0 * np.pi * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-300)
         swings = {}
         for k, name in enumerate(self.simulator.inputs, start=1):
             column = driving[name]
-            swings[name] = column + (float(np.max(np.abs(column))) or 1.0) * np.sin((2 * k + 1) * phase)
+            swings[name] = column + (float(np.max(np.abs(column))) or 1.0) * np.sin((2 * k + 1) * angle_rad)
         return self._run(self._runs[0], values, swings)
 
     def _run(self, run: SimulatorRun, values: Mapping[str, float], swings: Columns | None = None) -> Array:
         recorded = run.driving(self.simulator.inputs) | dict(swings or {})
         inputs = {name: column.copy() for name, column in recorded.items()}
-        channels = self._watched(inputs, values)
+        channels = self._recorded(inputs, values)
         self.names |= self._read.names
         self.is_iterated |= self._read.is_iterated
         self._refuse_written(inputs, recorded, "copy its inputs before changing them")
-        changed = {name: np.asarray(dict.get(self._read, name)) for name in self._given}
-        self._refuse_written(changed, {name: np.asarray(v) for name, v in self._given.items()}, "copy the parameters")
+        changed = {name: np.asarray(dict.get(self._read, name)) for name in self._constant_probes}
+        self._refuse_written(
+            changed, {name: np.asarray(v) for name, v in self._constant_probes.items()}, "copy the parameters"
+        )
         return np.concatenate([channels[name] for name in self.simulator.channels])
 
-    def _watch(self, inputs: Columns, parameters: Mapping[str, float]) -> Columns:
-        self._given, self._read = dict(parameters), _ReadNames(parameters)
+    def _record_call(self, inputs: Columns, parameters: Mapping[str, float]) -> Columns:
+        self._constant_probes, self._read = dict(parameters), _ReadNames(parameters)
         return self.simulator.run(inputs, self._read)
 
     def _refuse_written(self, after: Columns, before: Columns, cure: str) -> None:
@@ -540,9 +550,9 @@ class _Calls:
                 raise refused(self.simulator, f"writes into {name}; {cure}")
 
 
-def refused(simulator: Simulator, why: str) -> InputError:
+def refused(simulator: Simulator, cause: str) -> InputError:
     """Return the refusal of a simulator that cannot be fitted."""
-    return InputError(f"simulator {simulator.name}: {why}; nothing was fitted")
+    return InputError(f"simulator {simulator.name}: {cause}; nothing was fitted")
 
 
 def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:

@@ -10,17 +10,17 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-from softcal.core.gap.evidence import beside_rest, places_of, regime_places
-from softcal.core.gap.experiments import NextExperiment, causes_of, most_telling, together
+from softcal.core.gap.evidence import fault_locations, regime_locations, with_residual_location
+from softcal.core.gap.experiments import NextExperiment, causes_of, propose_experiment, together
 from softcal.core.gap.fit import Fit, Probe, Tangent, fit, structure
 from softcal.core.gap.linear import COMMON_STEP_s, Prior, RigScale, energy, fit_scale, from_fit, to_fit
 from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
 from softcal.core.gap.mistakes import find_repeats
-from softcal.core.gap.model import Directions, GapPlace, Model, RankedCause, Sizes, Where
+from softcal.core.gap.model import Directions, FaultLocation, Model, RankedCause, Sizes, Where
 from softcal.core.gap.problem import Block, Hypothesis, Problem, rows_of_runs
 from softcal.core.gap.residual import noise_chance, noise_levels, scatter_of
 from softcal.core.gap.simulator import (
-    STRAIGHT,
+    LINEAR,
     Columns,
     Simulator,
     SimulatorFailed,
@@ -33,12 +33,12 @@ from softcal.core.gap.simulator_reach import (
     TermStep,
     against_others,
     cut_off,
+    explanatory_signals,
+    find_excess_noise,
     find_strays,
-    known_of_signals,
-    louder_than_stated,
+    recording_mistakes,
     regimes_of,
     shifted,
-    shown,
     terms_of,
 )
 from softcal.core.messages.reason import Reason, reason
@@ -48,10 +48,10 @@ from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.probes import ExcitationRange
 
 if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Diagnosis, Judgement
+    from softcal.core.gap.diagnosis import Assessment, Diagnosis
     from softcal.core.gap.search import Search
 
-KNOWN = 200
+MAX_CACHED = 200
 """Answers of a simulator that are kept."""
 
 DRAWS, FIRST_STEPS = 12, 6
@@ -81,30 +81,32 @@ def scattered(parameters: Sequence[Parameter], count: int) -> Array:
     return out
 
 
-def best_start(problem: Problem, hypothesis: Hypothesis, scattering: int = 32, tried: int = 5, steps: int = 60) -> Fit:
+def best_start(
+    problem: Problem, hypothesis: Hypothesis, scattering: int = 32, max_tries: int = 5, steps: int = 60
+) -> Fit:
     """Return the best minimum found from starts all over the bounds.
 
     Args:
         scattering: places at which the prediction is made once.
-        tried: of these, those from which a fit takes a few steps, besides the usual values.
+        max_tries: of these, those from which a fit takes a few steps, besides the usual values.
         steps: most steps from the best two of them.
     """
     usual, *others = scattered(hypothesis.parameters, scattering)
-    places = [usual, *likeliest(problem, hypothesis, others)[:tried]]
-    rough = sorted((fit(problem, hypothesis, place, steps=6) for place in places), key=lambda f: f.chi2)
-    fits = [fit(problem, hypothesis, found.coordinates, steps=steps) for found in rough[:2]]
-    return min(fits, key=lambda found: found.chi2)
+    starts = [usual, *likeliest(problem, hypothesis, others)[:max_tries]]
+    rough = sorted((fit(problem, hypothesis, start, steps=6) for start in starts), key=lambda f: f.chi2)
+    fits = [fit(problem, hypothesis, result.coordinates, steps=steps) for result in rough[:2]]
+    return min(fits, key=lambda result: result.chi2)
 
 
-def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array]) -> list[Array]:
+def likeliest(problem: Problem, hypothesis: Hypothesis, points: Sequence[Array]) -> list[Array]:
     """Return places in the order of what a prediction at each leaves; those without one last."""
 
-    def left(place: Array) -> float:
-        cost = energy(problem.residual(problem.predict(hypothesis, place), place))
+    def cost_at(point: Array) -> float:
+        cost = energy(problem.residual(problem.predict(hypothesis, point), point))
         return cost if np.isfinite(cost) else np.inf
 
-    problem.prepare([(hypothesis, place) for place in places])
-    return sorted(places, key=left)
+    problem.prepare([(hypothesis, point) for point in points])
+    return sorted(points, key=cost_at)
 
 
 def likely_pairs(base: Fit, candidates: Sequence[Effect]) -> list[tuple[Effect, ...]]:
@@ -129,8 +131,8 @@ def likely_pairs(base: Fit, candidates: Sequence[Effect]) -> list[tuple[Effect, 
 
 def rows_over_bounds(effect: Effect) -> list[tuple[float, ...]]:
     """Return values of an effect all over its bounds, the usual ones first."""
-    places = scattered(effect.parameters, DRAWS)
-    return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, place, strict=True)) for place in places]
+    points = scattered(effect.parameters, DRAWS)
+    return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, point, strict=True)) for point in points]
 
 
 def try_from_many_starts(search: "Search", effects: tuple[Effect, ...]) -> None:
@@ -141,18 +143,20 @@ def try_from_many_starts(search: "Search", effects: tuple[Effect, ...]) -> None:
         if parent is None:
             continue
         space = Tangent(parent)
-        leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in rows_over_bounds(effect)]
-        lead = max((one for one in leads if one is not None), key=lambda one: one.gain, default=None)
-        if lead is not None:
-            fits.append(fit(problem, parent.hypothesis.adding(effect), lead.start(parent), steps=FIRST_STEPS))
-    drawn = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
-    places = [np.append(search.base.coordinates, place) for place in drawn]
-    likely = likeliest(problem, hypothesis, places)[0]
-    best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda found: found.chi2)
+        candidates = [
+            space.score_candidate(Probe(effect, row, effect.is_one_sided)) for row in rows_over_bounds(effect)
+        ]
+        candidate = max((one for one in candidates if one is not None), key=lambda one: one.gain, default=None)
+        if candidate is not None:
+            fits.append(fit(problem, parent.hypothesis.adding(effect), candidate.start(parent), steps=FIRST_STEPS))
+    samples = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
+    starts = [np.append(search.base.coordinates, values) for values in samples]
+    likely = likeliest(problem, hypothesis, starts)[0]
+    best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda result: result.chi2)
     # What is not better after a few steps than the best with one cause less is left there.
     parts = [f.chi2 for ids, f in search.fits.items() if set(ids) < set(best.ids)]
     if best.chi2 < min(parts) - problem.method.search.worth * max(search.base.chi2 - problem.count, 0.0):
-        search.keep(fit(problem, best.hypothesis, best.coordinates, steps=60))
+        search.store(fit(problem, best.hypothesis, best.coordinates, steps=60))
 
 
 @dataclass
@@ -162,13 +166,13 @@ class Calls:
     count: int = 0
     of: int = 0
     first: str = ""
-    known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
+    answers: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
 
     def store(self, key: tuple[tuple[str, float], ...], answer: Array) -> None:
         """Store an answer; the oldest goes: every part that is held back begins where the others did."""
-        self.known[key] = answer
-        if len(self.known) > KNOWN:
-            del self.known[next(iter(self.known))]
+        self.answers[key] = answer
+        if len(self.answers) > MAX_CACHED:
+            del self.answers[next(iter(self.answers))]
 
     def record(self) -> dict[str, object] | None:
         """Return what a report says of failures; None where it never failed."""
@@ -200,10 +204,10 @@ class SimulatorModel(Model):
 
     @property
     def priors(self) -> Sequence[Prior]:
-        known = [(k, p, self.simulator.prior_of(p)) for k, p in enumerate(self.base)]
+        with_prior = [(k, p, self.simulator.prior_of(p)) for k, p in enumerate(self.base)]
         return [
             Prior(k, to_fit(p, one[0]), one[1] / one[0] if p.scale == "log" else one[1])
-            for k, p, one in known
+            for k, p, one in with_prior
             if one is not None
         ]
 
@@ -243,8 +247,8 @@ class SimulatorModel(Model):
         return list(self.simulator.channels)
 
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
-        least = 1e-9 * max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(channel))
-        return (self.simulator.noise.get(channel, least), self.simulator.noise.get(channel, np.inf))
+        min_noise = 1e-9 * max(float(np.ptp(problem.measured[b.rows])) for b in problem.blocks_of(channel))
+        return (self.simulator.noise.get(channel, min_noise), self.simulator.noise.get(channel, np.inf))
 
     def times_slower(self, case: Case) -> float:
         return float(np.median(np.concatenate([run.step_s[1:] for run in case.runs]))) / COMMON_STEP_s
@@ -259,13 +263,15 @@ class SimulatorModel(Model):
         out = self._simulated(problem, hypothesis, coordinates).copy()
         for block in problem.blocks if sizes else ():
             rows = zip(self.simulator.offsets, sizes[block.run], strict=True)
-            mine = {kind: float(size) for (channel, kind), size in rows if channel == block.channel}
+            sizes_by_kind = {kind: float(size) for (channel, kind), size in rows if channel == block.channel}
             t_s = problem.case.runs[block.run].elapsed_s
-            values = out[block.place]
-            if mine.get("delay") and np.all(np.isfinite(values)):
-                values = shifted(values, t_s, mine["delay"], mine[STRAIGHT])[0]
-            out[block.place] = (
-                values * (1.0 + mine.get("gain", 0.0)) + mine.get("zero", 0.0) + mine.get("drift", 0.0) * t_s
+            values = out[block.rows]
+            if sizes_by_kind.get("delay") and np.all(np.isfinite(values)):
+                values = shifted(values, t_s, sizes_by_kind["delay"], sizes_by_kind[LINEAR])[0]
+            out[block.rows] = (
+                values * (1.0 + sizes_by_kind.get("gain", 0.0))
+                + sizes_by_kind.get("zero", 0.0)
+                + sizes_by_kind.get("drift", 0.0) * t_s
             )
         return out
 
@@ -277,44 +283,44 @@ class SimulatorModel(Model):
             if block.channel not in self.simulator.per_run:
                 out.append(None)
                 continue
-            kinds, mine = self.simulator.offsets, raw[block.place]
+            kinds, signal = self.simulator.offsets, raw[block.rows]
             t_s, has = problem.case.runs[block.run].elapsed_s, dict.fromkeys(kinds, 0.0)
             if block.run in sizes:
                 has = dict(zip(kinds, sizes[block.run], strict=True))
-            late, slope, apart = mine, np.gradient(clean[block.place], t_s), np.zeros(len(t_s))
-            if has.get((block.channel, "delay")) and np.all(np.isfinite(mine)):
-                late, slope, apart = shifted(mine, t_s, has[block.channel, "delay"], has[block.channel, STRAIGHT])
-            of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, STRAIGHT: apart}
+            late, slope, apart = signal, np.gradient(clean[block.rows], t_s), np.zeros(len(t_s))
+            if has.get((block.channel, "delay")) and np.all(np.isfinite(signal)):
+                late, slope, apart = shifted(signal, t_s, has[block.channel, "delay"], has[block.channel, LINEAR])
+            of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, LINEAR: apart}
             out.append(np.array([of_kind[kind] * (channel == block.channel) for channel, kind in kinds]))
         return out
 
     def _simulated(self, problem: Problem, hypothesis: Hypothesis, coordinates: Array) -> Array:
         """Return (samples,) with the empirical terms, NaN where the simulator fails in a run."""
-        parameters = self.simulator.named(hypothesis, coordinates)
+        parameters = self.simulator.parameter_values(hypothesis, coordinates)
         key, calls = tuple(parameters.items()), self.calls(problem.case)
-        if key not in calls.known:
+        if key not in calls.answers:
             answers = (self._predicted(run, parameters) for run in runs_of(problem.case))
             calls.store(key, self._stacked(problem, answers))
-        raw = calls.known[key]
+        raw = calls.answers[key]
         added = [e for e in hypothesis.effects if e.id not in self.simulator.candidate_ids]
         terms = [(cast(TermStep, e.step).term, e.id) for e in added]
         if not terms or not np.all(np.isfinite(raw)):
             return raw
-        out, sizes = raw.copy(), {i: coordinates[hypothesis.place_of(i)] for _, i in terms}
+        out, sizes = raw.copy(), {i: coordinates[hypothesis.index_of(i)] for _, i in terms}
         for run in range(len(problem.case.runs)):
-            places = {b.channel: b.place for b in problem.blocks if b.run == run}
+            rows_of_channel = {b.channel: b.rows for b in problem.blocks if b.run == run}
             columns = {name: problem.recorded(run, name) for name in self.simulator.inputs}
-            columns |= {channel: raw[place] for channel, place in places.items()}
+            columns |= {channel: raw[rows] for channel, rows in rows_of_channel.items()}
             for term, i in terms:
-                out[places[term.place]] += sizes[i] * term.values(problem.case.runs[run].t_s, columns)
+                out[rows_of_channel[term.place]] += sizes[i] * term.values(problem.case.runs[run].t_s, columns)
         return out
 
-    def prepare(self, problem: Problem, places: Sequence[tuple[Hypothesis, Array]]) -> None:
+    def prepare(self, problem: Problem, points: Sequence[tuple[Hypothesis, Array]]) -> None:
         if self.simulator.run_many is None or problem.case.is_planned:
             return
         calls, runs = self.calls(problem.case), runs_of(problem.case)
-        every = (self.simulator.named(hypothesis, coordinates) for hypothesis, coordinates in places)
-        new = {key: place for place in every if (key := tuple(place.items())) not in calls.known}
+        every = (self.simulator.parameter_values(hypothesis, coordinates) for hypothesis, coordinates in points)
+        new = {key: values for values in every if (key := tuple(values.items())) not in calls.answers}
         for key, answers in zip(new, self.simulator.predict_many(runs, list(new.values())), strict=True):
             calls.store(key, self._stacked(problem, answers))
 
@@ -328,13 +334,13 @@ class SimulatorModel(Model):
         """Return (samples,) answers of all runs, NaN where one fails."""
         out, calls = np.empty(len(problem.measured)), self.calls(problem.case)
         calls.of += 1
-        for k, found in enumerate(answers):
-            if isinstance(found, SimulatorFailed):
+        for k, channel_answers in enumerate(answers):
+            if isinstance(channel_answers, SimulatorFailed):
                 calls.count += 1
-                calls.first = calls.first or str(found)
+                calls.first = calls.first or str(channel_answers)
                 return np.full(len(out), np.nan)
             for block in (b for b in problem.blocks if b.run == k):
-                out[block.place] = found[block.channel]
+                out[block.rows] = channel_answers[block.channel]
         return out
 
     def with_unknown(self, problem: Problem, predicted: Array) -> Array:
@@ -343,34 +349,34 @@ class SimulatorModel(Model):
 
     # What it leaves.
 
-    def is_clean(self, found: Fit) -> bool:
-        return noise_chance(found) > self.method.floor.chance
+    def is_clean(self, result: Fit) -> bool:
+        return noise_chance(result) > self.method.floor.chance
 
-    def is_uneven(self, found: Fit) -> bool:
+    def is_uneven(self, result: Fit) -> bool:
         return False
 
-    def followed(self, found: Fit, channel: str) -> list[Sequence[Array]]:
-        return known_of_signals(self.simulator, found, channel)
+    def followed(self, result: Fit, channel: str) -> list[Sequence[Array]]:
+        return explanatory_signals(self.simulator, result, channel)
 
-    def halves(self, found: Fit, block: Block) -> tuple[Mask, Mask]:
+    def halves(self, result: Fit, block: Block) -> tuple[Mask, Mask]:
         """Return where a channel of a run lies above its median, and where it changes faster than usual."""
-        level = found.predicted[block.place]
-        rate = np.abs(np.gradient(level, found.problem.case.runs[block.run].t_s))
+        level = result.predicted[block.rows]
+        rate = np.abs(np.gradient(level, result.problem.case.runs[block.run].t_s))
         return np.asarray(level > np.median(level)), np.asarray(rate > np.median(rate))
 
-    def load_of(self, found: Fit) -> Array:
-        return found.predicted
+    def load_of(self, result: Fit) -> Array:
+        return result.predicted
 
-    def axes_of(self, found: Fit, run: int) -> tuple[Array, Array]:
-        first = found.problem.recorded(run, self.simulator.channels[0])
+    def axes_of(self, result: Fit, run: int) -> tuple[Array, Array]:
+        first = result.problem.recorded(run, self.simulator.channels[0])
         return first, first
 
     # How causes are sought.
 
     def mistakes(self, case: Case) -> tuple[DataMistake, ...]:
-        return shown(self.simulator, case, self.method.mistake)
+        return recording_mistakes(self.simulator, case, self.method.mistake)
 
-    def base_beside(self, case: Case) -> Fit:
+    def base_of_mistaken_case(self, case: Case) -> Fit:
         return self.base_fit(case)
 
     def rough_problem(self, case: Case) -> Problem:
@@ -380,7 +386,7 @@ class SimulatorModel(Model):
 
     def rough_fit(self, case: Case) -> Fit:
         """Fit the base quickly, for a question that is put to several cases."""
-        return best_start(self.rough_problem(case), Hypothesis(of_all=self.base), scattering=16, tried=2, steps=20)
+        return best_start(self.rough_problem(case), Hypothesis(of_all=self.base), scattering=16, max_tries=2, steps=20)
 
     def base_fit(self, case: Case) -> Fit:
         """Fit the base parameters alone from several starts, with noise levels from the residual.
@@ -397,18 +403,18 @@ class SimulatorModel(Model):
             best = fit(self._shared_by_base(under), hypothesis, under.coordinates)
         return best
 
-    def _shared_by_base(self, found: Fit) -> Problem:
+    def _shared_by_base(self, result: Fit) -> Problem:
         """Leave to the base what all runs share of an offset, where the base can take its shape."""
-        problem = found.problem
+        problem = result.problem
         if not len(problem.largest_offsets):
             return problem
-        bare = fit(problem.bare, found.hypothesis, found.coordinates, steps=0)
-        rows = rows_of_runs(problem, problem.directions(found.hypothesis, found.coordinates, bare.predicted, {}))
+        bare = fit(problem.bare, result.hypothesis, result.coordinates, steps=0)
+        rows = rows_of_runs(problem, problem.directions(result.hypothesis, result.coordinates, bare.predicted, {}))
         space = Tangent(bare)
         shared = [bare.problem.whitened(row) for row in np.sum(list(rows.values()), axis=0)]
-        left = np.array([energy(space.visible(row)) for row in shared]) * problem.largest_offsets**2
-        is_taken = (left < self.method.search.base_sigma**2) & np.any(shared, axis=1)
-        return replace(problem, of_base=tuple(map(bool, is_taken)))
+        remaining = np.array([energy(space.visible(row)) for row in shared]) * problem.largest_offsets**2
+        is_shared = (remaining < self.method.search.base_sigma**2) & np.any(shared, axis=1)
+        return replace(problem, of_base=tuple(map(bool, is_shared)))
 
     def mistakes_by_base(self, base: Fit) -> tuple[tuple[DataMistake, ...], tuple[DataMistake, ...]]:
         if broken := find_strays(self, base):
@@ -417,7 +423,7 @@ class SimulatorModel(Model):
         questions = (
             *cut,
             *find_repeats(base),
-            *louder_than_stated(self.simulator, scatter_of(base), self.method.mistake),
+            *find_excess_noise(self.simulator, scatter_of(base), self.method.mistake),
         )
         if (test := against_others(self, base)) is None:
             return (), questions
@@ -432,15 +438,15 @@ class SimulatorModel(Model):
     def probes(self, base: Fit, effects: Sequence[Effect]) -> tuple[Probe, ...]:
         runs = base.problem.case.runs
         longest_s = max(float(run.elapsed_s[-1]) for run in runs)
-        extent = ExcitationRange(1.0, 1.0, 0.0, 1.0, longest_s, float(np.median(runs[0].step_s[1:])))
-        return tuple(Probe(c, row, c.is_one_sided) for c in effects for row in c.probes(extent))
+        excitation = ExcitationRange(1.0, 1.0, 0.0, 1.0, longest_s, float(np.median(runs[0].step_s[1:])))
+        return tuple(Probe(c, row, c.is_one_sided) for c in effects for row in c.probes(excitation))
 
     def start_again(self, search: "Search") -> None:
         """Fit every cause and every pair from several starts where structure is left.
 
         A level never reached promises nothing to first order; two causes may gain only together.
         """
-        search.say("trying every cause, and every two, from several starts")
+        search.on_progress("trying every cause, and every two, from several starts")
         for effect in search.candidates:
             try_from_many_starts(search, (effect,))
         for pair in likely_pairs(search.base, search.candidates):
@@ -460,30 +466,38 @@ class SimulatorModel(Model):
     def terms(self, base: Fit) -> Iterator[SimulatorTerm]:
         return terms_of(self.simulator, base)
 
-    def where(self, search: "Search", judgement: "Judgement", causes: Sequence[RankedCause]) -> Where:
-        best, verdict = search.best, judgement.verdict
+    def where(self, search: "Search", assessment: "Assessment", causes: Sequence[RankedCause]) -> Where:
+        best, verdict = search.best, assessment.verdict
         if verdict == "no_gap":
             return Where()
-        base, seen = search.base, regimes_of(search.base)
+        base, regimes = search.base, regimes_of(search.base)
         loudest = max(base.problem.scored_channels, key=lambda channel: structure(base, channel).z)
-        channel, regime = (seen[0].channel, seen[0].name) if seen else (loudest, Reason("gap.regime.everywhere"))
+        channel, regime = (
+            (regimes[0].channel, regimes[0].name) if regimes else (loudest, Reason("gap.regime.everywhere"))
+        )
         if verdict == "unknown":
             part, ids = search.explained_share(best), best.ids
             nearest = Reason("gap.seen.no_candidate")
             if ids:
                 nearest = reason("gap.seen.nearest", causes=together(ids, "gap.both"), share=part)
-            places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
+            locations = [FaultLocation("unknown", channel, regime, 1.0, nearest)]
         else:
-            named = [c for c in causes if c.effect in best.ids]
-            places = places_of(named, channel, regime, lambda effect_id: reason("gap.effect", effect=effect_id))
+            explaining = [c for c in causes if c.effect in best.ids]
+            locations = fault_locations(
+                explaining, channel, regime, lambda effect_id: reason("gap.effect", effect=effect_id)
+            )
             if verdict == "explained_in_part":
-                places = beside_rest(places, GapPlace("unknown", channel, regime, 1.0 - search.explained_share(best)))
-        return Where((*places, *regime_places(places[0].stage, seen, "gap.seen.energy_of_all")), tuple(seen))
+                locations = with_residual_location(
+                    locations, FaultLocation("unknown", channel, regime, 1.0 - search.explained_share(best))
+                )
+        return Where(
+            (*locations, *regime_locations(locations[0].stage, regimes, "gap.seen.energy_of_all")), tuple(regimes)
+        )
 
     def next_experiment(
-        self, search: "Search", judgement: "Judgement", telling: NextExperiment | None
+        self, search: "Search", assessment: "Assessment", telling: NextExperiment | None
     ) -> NextExperiment:
-        group, verdict = judgement.group, judgement.verdict
+        group, verdict = assessment.group, assessment.verdict
         if verdict == "unknown":
             return telling or NextExperiment("none", Reason("gap.next.add_candidate"))
         if verdict == "explained_in_part" and len(group) < 2:
@@ -494,11 +508,11 @@ class SimulatorModel(Model):
         entries = self.menu(search.start)
         if not entries:
             return NextExperiment("none", reason("gap.next.no_experiments", causes=causes_of(group)))
-        return most_telling(entries, group)
+        return propose_experiment(entries, group)
 
     def report(self, diagnosis: "Diagnosis[SimulatorModel]") -> dict[str, object]:
         """Return what a report has besides; an effect that is off at infinity is None."""
-        found, out = diagnosis.best, dict[str, object]()
+        result, out = diagnosis.best, dict[str, object]()
         if (described := diagnosis.residual) is not None:
             added = [one.term.record() for one in described.terms]
             out["residual"] = described.record() | {"added": added, "parameters": self._parameters(described.fit)}
@@ -507,21 +521,21 @@ class SimulatorModel(Model):
             "calls": self.calls(diagnosis.case).of * len(diagnosis.case.runs),
             "failed": self.calls(diagnosis.case).record(),
             "offsets": [
-                {"run": found.problem.case.runs[run].name, "channel": channel, kind: float(size)}
-                for run, row in found.problem.offset_sizes(found.hypothesis, found.coordinates).items()
+                {"run": result.problem.case.runs[run].name, "channel": channel, kind: float(size)}
+                for run, row in result.problem.offset_sizes(result.hypothesis, result.coordinates).items()
                 for (channel, kind), size in zip(self.simulator.offsets, row, strict=True)
             ],
-            "parameters": self._parameters(found),
+            "parameters": self._parameters(result),
             "base": self._parameters(diagnosis.base),
-            "priors": self.stated_and_fitted(found),
+            "priors": self.summarise_priors(result),
         }
 
-    def stated_and_fitted(self, found: Fit) -> dict[str, dict[str, float]]:
+    def summarise_priors(self, result: Fit) -> dict[str, dict[str, float]]:
         """Return by parameter of the base with a prior its mean and standard deviation, and what was fitted."""
-        values = self.simulator.named(found.hypothesis, found.coordinates)
+        values = self.simulator.parameter_values(result.hypothesis, result.coordinates)
         pairs = [(p.name, self.simulator.prior_of(p)) for p in self.base]
         return {n: {"mean": one[0], "sd": one[1], "fitted": values[n]} for n, one in pairs if one is not None}
 
-    def _parameters(self, found: Fit) -> dict[str, float | None]:
-        values = self.simulator.named(found.hypothesis, found.coordinates)
+    def _parameters(self, result: Fit) -> dict[str, float | None]:
+        values = self.simulator.parameter_values(result.hypothesis, result.coordinates)
         return {name: finite_or_none(value) for name, value in values.items()}

@@ -29,7 +29,7 @@ from softcal.core.gap.case import (
 )
 from softcal.core.gap.fit import Fit, Regime, fit, shares_of_gap
 from softcal.core.gap.linear import start_coordinates
-from softcal.core.gap.method import FloorConfig, MistakeConfig
+from softcal.core.gap.method import MistakeConfig, NoiseFloorConfig
 from softcal.core.gap.problem import Block
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun, runs_of
 from softcal.core.messages.reason import Reason, reason
@@ -40,7 +40,7 @@ from softcal.core.twin.signals import low_pass
 if TYPE_CHECKING:
     from softcal.core.gap.simulator_model import SimulatorModel
 
-STANDS_OUT = 1.5
+MIN_LIFT = 1.5
 """Share of the gap over share of time from which a condition is listed."""
 
 MEMORIES = (0.01, 0.03, 0.1, 0.3)
@@ -135,14 +135,14 @@ class TermStep:
         raise ValueError("this term belongs to a simulator, not to the twin of a soft sensor")
 
 
-def terms_of(simulator: Simulator, found: Fit) -> Iterator[SimulatorTerm]:
+def terms_of(simulator: Simulator, result: Fit) -> Iterator[SimulatorTerm]:
     """Give every term that may be tried on what a simulator leaves, without its coefficient."""
-    problem, runs = found.problem, found.problem.case.runs
+    problem, runs = result.problem, result.problem.case.runs
     longest_s = max(float(run.elapsed_s[-1]) for run in runs)
-    signals = _signals(simulator, found)
-    for place in simulator.channels:
-        span = max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(place))
-        yield SimulatorTerm(place, TIME, "", 0.0, 0.0, 1.0, 1.0, 0.0, span)
+    signals = _signals(simulator, result)
+    for channel in simulator.channels:
+        span = max(float(np.ptp(problem.measured[b.rows])) for b in problem.blocks_of(channel))
+        yield SimulatorTerm(channel, TIME, "", 0.0, 0.0, 1.0, 1.0, 0.0, span)
         for name, parts in signals.items():
             low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
             half = 0.5 * (high - low)
@@ -150,27 +150,27 @@ def terms_of(simulator: Simulator, found: Fit) -> Iterator[SimulatorTerm]:
                 continue
             rates = [np.abs(np.gradient(p, run.t_s)) / half for p, run in zip(parts, runs, strict=True)]
             per_s = max(float(np.median(np.concatenate(rates))), 1e-3 / longest_s)
-            one = SimulatorTerm(place, LEVEL, name, 0.0, 0.5 * (low + high), half, per_s, 0.0, span)
+            one = SimulatorTerm(channel, LEVEL, name, 0.0, 0.5 * (low + high), half, per_s, 0.0, span)
             yield from (replace(one, kind=kind) for kind in (LEVEL, SQUARE, CUBE, RATE, WAY, SIZED_WAY, SIZED_TIME))
             yield from (replace(one, kind=REMEMBERED, tau_s=share * longest_s) for share in MEMORIES)
 
 
-def _signals(simulator: Simulator, found: Fit) -> dict[str, list[Array]]:
+def _signals(simulator: Simulator, result: Fit) -> dict[str, list[Array]]:
     """Return by name, run by run, inputs as they were recorded and channels as they are predicted."""
-    problem, count = found.problem, len(found.problem.case.runs)
+    problem, count = result.problem, len(result.problem.case.runs)
     inputs = {name: [problem.recorded(k, name) for k in range(count)] for name in simulator.inputs}
-    return inputs | {c: [found.predicted[b.place] for b in problem.blocks_of(c)] for c in simulator.channels}
+    return inputs | {c: [result.predicted[b.rows] for b in problem.blocks_of(c)] for c in simulator.channels}
 
 
 def with_terms(simulator: Simulator, terms: Sequence[SimulatorTerm]) -> Simulator:
     """Return a simulator that adds these terms to its channels."""
 
     def run(inputs: Columns, parameters: Mapping[str, float]) -> Columns:
-        given = dict(simulator.run(inputs, parameters))
-        out = {name: np.array(values, dtype=np.float64) for name, values in given.items()}
+        outputs = dict(simulator.run(inputs, parameters))
+        out = {name: np.array(values, dtype=np.float64) for name, values in outputs.items()}
         # What is not compared was not described.
         on = slice(simulator.first_compared(np.asarray(inputs["t_s"])), None)
-        columns = {name: np.asarray(values)[on] for name, values in {**inputs, **given}.items()}
+        columns = {name: np.asarray(values)[on] for name, values in {**inputs, **outputs}.items()}
         for term in terms:
             out[term.place][on] += term.coefficient * term.values(columns["t_s"], columns)
         return out
@@ -191,11 +191,11 @@ def term_of(record: object, source: str) -> SimulatorTerm:
     numbers = {name: record[name] for name in names if name not in texts}
     if not all(isinstance(v, int | float) and np.isfinite(v) for v in numbers.values()):
         raise InputError(f"{source}: a term has {numbers}; finite numbers were expected")
-    place, kind, signal = (str(record[name]) for name in texts)
-    return SimulatorTerm(place, kind, signal, **{name: float(v) for name, v in numbers.items()})
+    channel, kind, signal = (str(record[name]) for name in texts)
+    return SimulatorTerm(channel, kind, signal, **{name: float(v) for name, v in numbers.items()})
 
 
-def columns_of(signal: Array, run: Run, times: float, config: FloorConfig) -> dict[str, list[Array]]:
+def columns_of(signal: Array, run: Run, times: float, config: NoiseFloorConfig) -> dict[str, list[Array]]:
     """Return what a residual may follow of a signal within −1 and 1: groups of (n,) columns.
 
     Args:
@@ -203,10 +203,10 @@ def columns_of(signal: Array, run: Run, times: float, config: FloorConfig) -> di
     """
     rate, hats = np.gradient(signal, run.t_s), config.hats
     way, quick = np.sign(rate), np.gradient(rate, run.t_s)
-    places = [2.0 * k / (hats - 1) - 1.0 for k in range(hats)]
+    centres = [2.0 * k / (hats - 1) - 1.0 for k in range(hats)]
     memories = [low_pass(signal, run.step_s, times * tau_s, np.zeros(2)) for tau_s in config.memory_s]
     return {
-        "level": [np.maximum(0.0, 1.0 - 0.5 * (hats - 1) * np.abs(signal - place)) for place in places],
+        "level": [np.maximum(0.0, 1.0 - 0.5 * (hats - 1) * np.abs(signal - centre)) for centre in centres],
         "way": [way, signal * way, signal**2 * way],
         "rate": [rate, np.abs(rate), rate * np.abs(rate), signal * rate, quick],
         "memory": [*memories, *(signal * remembered for remembered in memories)],
@@ -214,45 +214,45 @@ def columns_of(signal: Array, run: Run, times: float, config: FloorConfig) -> di
     }
 
 
-def known_of_signals(simulator: Simulator, found: Fit, channel: str) -> list[Sequence[Array]]:
+def explanatory_signals(simulator: Simulator, result: Fit, channel: str) -> list[Sequence[Array]]:
     """Return groups of (samples,) columns of inputs and channels that a residual may follow."""
-    problem, out = found.problem, list[Sequence[Array]]()
+    problem, out = result.problem, list[Sequence[Array]]()
     times = problem.model.times_slower(problem.case)
     runs, blocks = problem.case.runs, problem.blocks_of(channel)
-    for parts in _signals(simulator, found).values():
+    for parts in _signals(simulator, result).values():
         low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
         scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
         each = [columns_of(x, runs[b.run], times, problem.method.floor) for x, b in zip(scaled, blocks, strict=True)]
         for kind in each[0]:
-            rows = np.zeros((len(each[0][kind]), len(found.predicted)))
+            rows = np.zeros((len(each[0][kind]), len(result.predicted)))
             for block, columns in zip(blocks, each, strict=True):
-                rows[:, block.place] = columns[kind]
+                rows[:, block.rows] = columns[kind]
             out.append(list(rows))
     return out
 
 
-def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:
+def shifted(values: Array, t_s: Array, delay_s: float, linear: float) -> Array:
     """Return (3, n) a channel some time later, its rate of change, and straight lines less a curve.
 
     The curve is the cubic spline through the samples, its third derivative continuous at both ends.
 
     Args:
         values: (n,) with n of 4 and more, at the times t_s.
-        straight: how far it goes by straight lines from sample to sample; by a curve elsewhere.
+        linear: how far it goes by straight lines from sample to sample; by a curve elsewhere.
     """
     curve, rise = CubicSpline(t_s, values), np.diff(values) / np.diff(t_s)
     at_s = np.clip(t_s - delay_s, t_s[0], t_s[-1])
     before = np.minimum(np.searchsorted(t_s, at_s, side="right") - 1, len(rise) - 1)
     line = values[before] + (at_s - t_s[before]) * rise[before]
     apart = line - curve(at_s)
-    rate = rise[before] + (1.0 - straight) * (curve(at_s, 1) - rise[before])
-    return np.array([line - (1.0 - straight) * apart, np.where(t_s - delay_s > t_s[0], rate, 0.0), apart])
+    rate = rise[before] + (1.0 - linear) * (curve(at_s, 1) - rise[before])
+    return np.array([line - (1.0 - linear) * apart, np.where(t_s - delay_s > t_s[0], rate, 0.0), apart])
 
 
-def conditions_of(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
+def conditions_of(result: Fit, blocks: list[Block]) -> dict[Reason, Array]:
     """Return which samples of blocks, (n,), lie in conditions in which a gap may stand out."""
-    runs = [found.problem.case.runs[b.run] for b in blocks]
-    predicted = [found.predicted[b.place] for b in blocks]
+    runs = [result.problem.case.runs[b.run] for b in blocks]
+    predicted = [result.predicted[b.rows] for b in blocks]
     slope = np.concatenate([np.gradient(p, r.t_s) for p, r in zip(predicted, runs, strict=True)])
     level, part = np.concatenate(predicted), np.concatenate([r.elapsed_s / r.elapsed_s[-1] for r in runs])
     low, high = np.quantile(level, (0.2, 0.8))
@@ -273,14 +273,14 @@ def conditions_of(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
 
 def regimes_of(base: Fit) -> list[Regime]:
     """Return the conditions in which what a base leaves stands out, the strongest first."""
-    seen = []
+    result = []
     for channel in base.problem.scored_channels:
         blocks = base.problem.blocks_of(channel)
         for name, part, time_share in shares_of_gap(base, blocks, conditions_of(base, blocks)):
             share = float(np.clip(part, 0.0, 1.0))
-            if share > STANDS_OUT * time_share:
-                seen.append(Regime(channel, name, share, share / time_share))
-    return sorted(seen, key=lambda r: -r.share * np.log(r.lift))
+            if share > MIN_LIFT * time_share:
+                result.append(Regime(channel, name, share, share / time_share))
+    return sorted(result, key=lambda r: -r.share * np.log(r.lift))
 
 
 FACTORS: Mapping[str, float] = {
@@ -300,28 +300,28 @@ FACTORS: Mapping[str, float] = {
 """What values in these must be multiplied by."""
 
 
-def shown(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
+def recording_mistakes(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
     """Return the mistakes that columns show by themselves: another unit of time, a dead channel."""
-    runs, number, found = runs_of(case), numbers(case), []
+    runs, number, result = runs_of(case), numbers(case), []
     steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
     for k, step_s in enumerate(steps_s) if len(runs) >= config.fewest_runs else ():
         others = np.delete(steps_s, k)
         ratio = float(np.median(others) / step_s)
         is_apart = max(ratio, 1.0 / ratio) > config.step_apart and others.max() < config.same_factor * others.min()
         if is_apart and unit_of(ratio, FACTORS, config.same_factor):
-            found.append(apart("t_s", number[k], ratio, FACTORS, config.same_factor))
+            result.append(apart("t_s", number[k], ratio, FACTORS, config.same_factor))
     for channel in simulator.channels:
         dead = tuple(n for n, run in zip(number, runs, strict=True) if np.ptp(run.columns[channel]) == 0.0)
         if dead:
             at = () if len(dead) == len(runs) else dead
             evidence = reason("data.dead", channel=channel)
-            found.append(DataMistake("constant", channel, at, None, evidence, Reason("data.repair.dead")))
-    return tuple(found)
+            result.append(DataMistake("constant", channel, at, None, evidence, Reason("data.repair.dead")))
+    return tuple(result)
 
 
 def cut_off(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
     """Return channels that may be cut off at an end: questions, for a mechanism may do so."""
-    found = []
+    result = []
     for run, number in zip(runs_of(case), numbers(case), strict=True):
         for channel in simulator.channels:
             values = run.columns[channel]
@@ -333,23 +333,23 @@ def cut_off(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[Da
                 if repeats <= config.resting and count > max(1.0, config.stuck * len(values)):
                     evidence = reason("data.cut_off", channel=channel, level=end, count=count)
                     repair = reason("data.repair.range", channel=channel)
-                    found.append(DataMistake("out_of_range", channel, (number,), None, evidence, repair))
-    return tuple(found)
+                    result.append(DataMistake("out_of_range", channel, (number,), None, evidence, repair))
+    return tuple(result)
 
 
-def louder_than_stated(
+def find_excess_noise(
     simulator: Simulator, scatter_of: Mapping[str, float], config: MistakeConfig
 ) -> tuple[DataMistake, ...]:
     """Return channels that scatter far more than the noise that is stated of them: questions."""
-    found = []
+    result = []
     for channel, scatter in scatter_of.items():
-        stated = simulator.noise.get(channel, np.inf)
-        if scatter > config.louder * stated:
-            evidence = reason("data.louder", channel=channel, scatter=scatter, stated=stated)
-            found.append(
+        stated_noise = simulator.noise.get(channel, np.inf)
+        if scatter > config.louder * stated_noise:
+            evidence = reason("data.louder", channel=channel, scatter=scatter, stated=stated_noise)
+            result.append(
                 DataMistake("noise", channel, (), None, evidence, reason("data.repair.louder", channel=channel))
             )
-    return tuple(found)
+    return tuple(result)
 
 
 @dataclass(frozen=True)
@@ -357,26 +357,26 @@ class MistakeTest:
     """A mistake that the simulator points at, and how well it stands against what else could be.
 
     Args:
-        left: share of the worst channel that the base leaves once the mistake is repaired.
-        left_unrepaired, left_by_causes: what the base leaves as recorded, and at best with one of its candidates.
+        residual: share of the worst channel that the base leaves once the mistake is repaired.
+        unrepaired_residual, causes_residual: what the base leaves as recorded, and at best with one of its candidates.
         repaired: share of what the base leaves that may be left once a mistake is repaired.
     """
 
     mistake: DataMistake
-    left: float
-    left_unrepaired: float
-    left_by_causes: float
+    residual: float
+    unrepaired_residual: float
+    causes_residual: float
     repaired: float
 
     @property
     def is_enough(self) -> bool:
         """Whether the repair takes most of what the base leaves."""
-        return self.left <= self.repaired * self.left_unrepaired
+        return self.residual <= self.repaired * self.unrepaired_residual
 
     @property
     def is_alone(self) -> bool:
         """Whether no candidate does as well."""
-        return self.left < self.left_by_causes
+        return self.residual < self.causes_residual
 
     @property
     def is_claim(self) -> bool:
@@ -390,20 +390,20 @@ def against_others(model: "SimulatorModel", base: Fit) -> MistakeTest | None:
     if _agreement(base) > config.good:
         return None
     unrepaired = 1.0 - _agreement(base)
-    whole = _exchanged(model, problem.case)
-    suspected = (*whole, unrepaired) if whole else _of_one_run(model, problem.case)
+    exchanged = _exchanged(model, problem.case)
+    suspected = (*exchanged, unrepaired) if exchanged else _of_one_run(model, problem.case)
     if suspected is None:
         return None
-    mistake, left, unrepaired = suspected
+    mistake, residual, unrepaired = suspected
     by_causes = min(1.0 - _agreement(_with_causes(base, [cause], 20)) for cause in model.candidates)
-    test = MistakeTest(mistake, left, unrepaired, by_causes, config.repaired)
+    test = MistakeTest(mistake, residual, unrepaired, by_causes, config.repaired)
     return test if test.is_enough or test.is_alone else None
 
 
-def _with_causes(found: Fit, causes: Sequence[Effect], steps: int) -> Fit:
+def _with_causes(result: Fit, causes: Sequence[Effect], steps: int) -> Fit:
     """Return a fit of causes beside a base, from their usual sizes."""
     usual = start_coordinates(causes, [[p.usual for p in cause.parameters] for cause in causes])
-    return fit(found.problem, found.hypothesis.adding(*causes), np.append(found.coordinates, usual), steps=steps)
+    return fit(result.problem, result.hypothesis.adding(*causes), np.append(result.coordinates, usual), steps=steps)
 
 
 def _exchanged(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float] | None:
@@ -430,40 +430,40 @@ def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float
     The others tell by the base, and by all causes together: a gap that all runs share is no mistake of one.
     """
     runs, number, config = runs_of(case), numbers(case), model.method.mistake
-    tried: list[tuple[float, DataMistake | None, float, float]] = []
+    tests: list[tuple[float, DataMistake | None, float, float]] = []
     for k, run in enumerate(runs) if len(runs) >= config.fewest_runs else ():
         others = model.rough_fit(Case(case.serial, tuple(runs[:k] + runs[k + 1 :])))
-        if _left_of_run(model, others, run) <= config.stands_out * (1.0 - _agreement(others)):
+        if _residual_of_run(model, others, run) <= config.stands_out * (1.0 - _agreement(others)):
             continue
-        for found in (others, _with_causes(others, model.candidates, config.steps)):
-            as_it_is, of_others = _left_of_run(model, found, run), 1.0 - _agreement(found)
-            for mistake, repaired in _repairs(model, found, run, number[k]) if of_others < config.agreeing else ():
-                left = of_others if repaired is None else _left_of_run(model, found, repaired)
+        for result in (others, _with_causes(others, model.candidates, config.steps)):
+            as_it_is, of_others = _residual_of_run(model, result, run), 1.0 - _agreement(result)
+            for mistake, repaired in _repairs(model, result, run, number[k]) if of_others < config.agreeing else ():
+                residual = of_others if repaired is None else _residual_of_run(model, result, repaired)
                 # A gain fits anything a little better: all of the run must agree then.
                 is_free = mistake.what == "gain"
-                if left <= max(1.0 - config.good, 0.0 if is_free else config.stands_out * of_others):
-                    tried.append((left / max(as_it_is, 1e-300), mistake, left, as_it_is))
-    share, best, rest, whole = min(tried, key=lambda one: one[0], default=(np.inf, None, 0.0, 0.0))
-    return (best, rest, whole) if best is not None and share <= config.asked else None
+                if residual <= max(1.0 - config.good, 0.0 if is_free else config.stands_out * of_others):
+                    tests.append((residual / max(as_it_is, 1e-300), mistake, residual, as_it_is))
+    share, best, rest, unrepaired = min(tests, key=lambda one: one[0], default=(np.inf, None, 0.0, 0.0))
+    return (best, rest, unrepaired) if best is not None and share <= config.asked else None
 
 
-def _left_of_run(model: "SimulatorModel", others: Fit, run: SimulatorRun) -> float:
+def _residual_of_run(model: "SimulatorModel", others: Fit, run: SimulatorRun) -> float:
     """Return which share of the worst channel's spread over all runs the others leave of a run."""
-    columns, left = run.columns, 0.0
+    columns, residual = run.columns, 0.0
     try:
-        gives = model.simulator.predict(run, model.simulator.named(others.hypothesis, others.coordinates))
+        gives = model.simulator.predict(run, model.simulator.parameter_values(others.hypothesis, others.coordinates))
     except SimulatorFailed:
         return np.inf
     for channel, values in gives.items():
         parts = [columns[channel], *(one.columns[channel] for one in runs_of(others.problem.case))]
         spread = float(np.mean([np.var(part) for part in parts]))
-        left = max(left, float(np.mean((columns[channel] - values) ** 2)) / max(spread, 1e-300))
-    return left
+        residual = max(residual, float(np.mean((columns[channel] - values) ** 2)) / max(spread, 1e-300))
+    return residual
 
 
-def _agreement(found: Fit) -> float:
+def _agreement(result: Fit) -> float:
     """Return which share of a channel's spread a fit takes up where it takes least."""
-    pairs = [(found.problem.measured[b.place], found.predicted[b.place]) for b in found.problem.blocks]
+    pairs = [(result.problem.measured[b.rows], result.predicted[b.rows]) for b in result.problem.blocks]
     return min(1.0 - float(np.mean((m - p) ** 2)) / max(float(np.var(m)), 1e-300) for m, p in pairs)
 
 
@@ -473,12 +473,12 @@ def _repairs(
     """Yield what may be wrong with a run and the run repaired; None where nothing can be."""
     simulator, config, columns = model.simulator, model.method.mistake, run.columns
     try:
-        gives = simulator.predict(run, simulator.named(others.hypothesis, others.coordinates))
+        gives = simulator.predict(run, simulator.parameter_values(others.hypothesis, others.coordinates))
     except SimulatorFailed:
         gives = {}
-    for channel, said in gives.items():
+    for channel, predicted in gives.items():
         yield _of_factor(channel, number, -1.0, config.same_factor), _scaled(run, channel, -1.0)
-        slope = float(np.polyfit(said, columns[channel], 1)[0]) if np.ptp(said) > 0.0 else 0.0
+        slope = float(np.polyfit(predicted, columns[channel], 1)[0]) if np.ptp(predicted) > 0.0 else 0.0
         if slope != 0.0 and abs(np.log(abs(slope))) > np.log(config.apart):
             yield _of_factor(channel, number, 1.0 / slope, config.same_factor), _scaled(run, channel, 1.0 / slope)
     for name in simulator.inputs:
@@ -509,33 +509,33 @@ def _of_factor(name: str, number: int, factor: float, same: float) -> DataMistak
 def find_strays(model: "SimulatorModel", base: Fit) -> tuple[DataMistake, ...]:
     """Return single samples far beyond all others that the simulator does not foretell: a broken transmission."""
     problem, simulator, config = base.problem, model.simulator, model.method.mistake
-    found, case, number = [], problem.case, numbers(problem.case)
+    result, case, number = [], problem.case, numbers(problem.case)
     for name in (*simulator.channels, *simulator.inputs):
         low, high = np.quantile(np.concatenate([run.columns[name] for run in runs_of(case)]), (0.01, 0.99))
-        reach = config.far * float(high - low)
+        max_distance = config.far * float(high - low)
         for k, run in enumerate(runs_of(case)):
             values = run.columns[name]
-            is_beyond = (values < low - reach) | (values > high + reach)
-            if reach <= 0.0 or not 0.0 < is_beyond.mean() <= config.few:
+            is_beyond = (values < low - max_distance) | (values > high + max_distance)
+            if max_distance <= 0.0 or not 0.0 < is_beyond.mean() <= config.few:
                 continue
             if name in simulator.channels:
-                said = np.concatenate([base.predicted[b.place] for b in problem.blocks_of(name) if b.run == k])[
+                predicted = np.concatenate([base.predicted[b.rows] for b in problem.blocks_of(name) if b.run == k])[
                     is_beyond
                 ]
-                is_foretold = bool(np.any((said < low - reach) | (said > high + reach)))
+                is_foretold = bool(np.any((predicted < low - max_distance) | (predicted > high + max_distance)))
             else:
                 # A kick that is meant moves the mechanism: without it the simulator agrees less.
-                kept = np.flatnonzero(~is_beyond)
+                inside = np.flatnonzero(~is_beyond)
                 repaired = replace(
-                    run, columns={**run.columns, name: np.interp(np.arange(len(values)), kept, values[kept])}
+                    run, columns={**run.columns, name: np.interp(np.arange(len(values)), inside, values[inside])}
                 )
                 every = tuple(repaired if one is run else one for one in runs_of(case))
-                left = 1.0 - _agreement(model.rough_fit(Case(case.serial, every)))
+                residual = 1.0 - _agreement(model.rough_fit(Case(case.serial, every)))
                 is_code = len(np.unique(values[is_beyond])) == 1 and np.count_nonzero(is_beyond) > 1
-                is_foretold = left > (1.0 if is_code else config.repaired) * (1.0 - _agreement(base))
+                is_foretold = residual > (1.0 if is_code else config.repaired) * (1.0 - _agreement(base))
             if not is_foretold:
                 count, worst = int(is_beyond.sum()), float(values[is_beyond][0])
                 ends = {"worst": worst, "low": float(low), "high": float(high)}
                 evidence = reason("data.out_of_range.strays", count=count, channel=name, **ends, unit="")
-                found.append(of_samples(name, (number[k],), count, evidence))
-    return tuple(found)
+                result.append(of_samples(name, (number[k],), count, evidence))
+    return tuple(result)

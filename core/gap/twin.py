@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-from softcal.core.gap.evidence import beside_rest, partial_of, places_of, regime_places
-from softcal.core.gap.experiments import NextExperiment, most_telling
+from softcal.core.gap.evidence import fault_locations, partial_of, regime_locations, with_residual_location
+from softcal.core.gap.experiments import NextExperiment, propose_experiment
 from softcal.core.gap.fit import Fit, Map, Probe, fit, structure
 from softcal.core.gap.linear import RigScale
 from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
-from softcal.core.gap.mistakes import doubts, find_repeats, mistakes, outlier_run, outlier_run_beside
-from softcal.core.gap.model import Directions, GapPlace, Model, RankedCause, Sizes, Where
+from softcal.core.gap.mistakes import find_repeats, mistakes, outlier_run, outlier_run_with_causes, suspect_units
+from softcal.core.gap.model import Directions, FaultLocation, Model, RankedCause, Sizes, Where
 from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, regimes
 from softcal.core.gap.problem import BASE, Block, Hypothesis, Problem
 from softcal.core.gap.residual import noise_levels, with_driving_noise
@@ -22,10 +22,10 @@ from softcal.core.gap.twin_reach import (
     WARM_DIVIDER,
     bases_of,
     dither_of,
-    extent_of,
+    excitation_of,
+    explanatory_chain_signals,
     first_noise,
-    is_told,
-    known_by_chain,
+    is_resolved,
     menu,
     offset_rows,
     predict_run,
@@ -44,13 +44,13 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import twin_record
 
 if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Diagnosis, Judgement
+    from softcal.core.gap.diagnosis import Assessment, Diagnosis
     from softcal.core.gap.search import Search
 
 QUIETEST = 1e-6
 """Least noise of a force that is believed, N on the common rig."""
 
-SHOWN_ALONE = {"rigid_block": "stage_mm", "dead_weights": "force_N", "dummy_resistor": "output_V"}
+ONLY_CHANNEL = {"rigid_block": "stage_mm", "dead_weights": "force_N", "dummy_resistor": "output_V"}
 """The one channel that a special run shows."""
 
 SEATED = ("press", "rest")
@@ -96,7 +96,7 @@ class TwinModel(Model):
 
     def channels_of(self, run: Run) -> tuple[str, ...]:
         # What drives the twin is not predicted.
-        alone = "output_V" if run.kind == "press" and run.stage_mm is None else SHOWN_ALONE.get(run.kind)
+        alone = "output_V" if run.kind == "press" and run.stage_mm is None else ONLY_CHANNEL.get(run.kind)
         return (alone,) if alone else tuple(c for c in ("force_N", "output_V") if getattr(run, c) is not None)
 
     def recorded(self, run: Run, channel: str) -> Array:
@@ -107,8 +107,8 @@ class TwinModel(Model):
         return [c for c in ("output_V", "force_N") if any(b.channel == c for b in problem.blocks)]
 
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
-        least = 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
-        return least, np.inf
+        min_noise = 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
+        return min_noise, np.inf
 
     def times_slower(self, case: Case) -> float:
         return 1.0
@@ -127,40 +127,40 @@ class TwinModel(Model):
         return np.array([config.tare * span("force_N"), config.resistance, config.seat * span("stage_mm")])
 
     def clean(self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
-        given, values = hypothesis.split(coordinates)
-        base, dither_V = BaseParameters(*given), dither_of(problem)
-        own = bases_of(base, sizes)
+        base_values, values = hypothesis.split(coordinates)
+        base, dither_V = BaseParameters(*base_values), dither_of(problem)
+        bases = bases_of(base, sizes)
         out = np.empty(len(problem.measured))
         last, channels = -1, {}
         for block in problem.blocks:
             # One pass of the chain gives all channels of a run.
             if block.run != last:
-                run, last, mine = problem.case.runs[block.run], block.run, own.get(block.run, base)
-                channels = predict_run(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
+                run, last, run_base = problem.case.runs[block.run], block.run, bases.get(block.run, base)
+                channels = predict_run(run, last, run_base, hypothesis.chain, values, hypothesis.episodes_of(last))
             channel = channels.get(block.channel)
             if block.channel == "output_V" and dither_V is not None and channel is not None:
                 channel = mean_code_V(channel, dither_V, problem.case.readout.step_V)
-            out[block.place] = problem.measured[block.place] if channel is None else channel
+            out[block.rows] = problem.measured[block.rows] if channel is None else channel
             if block.channel == "force_N" and block.run in sizes:
-                out[block.place] += sizes[block.run][0]
+                out[block.rows] += sizes[block.run][0]
         return out
 
     def directions(
         self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes
     ) -> Directions:
         base = BaseParameters(*hypothesis.split(coordinates)[0])
-        own = bases_of(base, sizes)
+        bases = bases_of(base, sizes)
         out: Directions = []
         for block in problem.blocks:
-            run, mine = problem.case.runs[block.run], own.get(block.run, base)
+            run, run_base = problem.case.runs[block.run], bases.get(block.run, base)
             if run.kind not in SEATED:
                 out.append(None)
                 continue
             # Where nothing is pressed, or nobody knows how deep, the seat changes nothing.
             stage_mm = run.stage_mm if run.stage_mm is not None and run.kind == "press" else np.full(len(run), -np.inf)
             kinds = (block.channel == "force_N", run.readout.sensor_type == "strain")
-            given = (mine.u0_mm, mine.k1_N_mm, mine.k3_N_mm3, mine.kappa_per_N)
-            out.append(offset_rows(kinds, stage_mm, clean[block.place], run.readout.vref_V, given))
+            parameters = (run_base.u0_mm, run_base.k1_N_mm, run_base.k3_N_mm3, run_base.kappa_per_N)
+            out.append(offset_rows(kinds, stage_mm, clean[block.rows], run.readout.vref_V, parameters))
         return out
 
     def with_unknown(self, problem: Problem, predicted: Array) -> Array:
@@ -170,33 +170,33 @@ class TwinModel(Model):
 
     # What it leaves.
 
-    def is_clean(self, found: Fit) -> bool:
-        return not structure(found).is_significant
+    def is_clean(self, result: Fit) -> bool:
+        return not structure(result).is_significant
 
-    def is_uneven(self, found: Fit) -> bool:
-        return loose_noise(found) is not None
+    def is_uneven(self, result: Fit) -> bool:
+        return loose_noise(result) is not None
 
-    def followed(self, found: Fit, channel: str) -> list[list[Array]]:
-        return [known_by_chain(found, channel)]
+    def followed(self, result: Fit, channel: str) -> list[list[Array]]:
+        return [explanatory_chain_signals(result, channel)]
 
-    def halves(self, found: Fit, block: Block) -> tuple[Mask | None]:
+    def halves(self, result: Fit, block: Block) -> tuple[Mask | None]:
         """Return where the sensor is pressed."""
-        run = found.problem.case.runs[block.run]
-        return (None if run.kind != "press" or run.stage_mm is None else run.stage_mm > found.base.u0_mm,)
+        run = result.problem.case.runs[block.run]
+        return (None if run.kind != "press" or run.stage_mm is None else run.stage_mm > result.base.u0_mm,)
 
-    def load_of(self, found: Fit) -> Array:
-        load, problem = np.zeros(len(found.predicted)), found.problem
+    def load_of(self, result: Fit) -> Array:
+        load, problem = np.zeros(len(result.predicted)), result.problem
         for block in problem.blocks:
             run = problem.case.runs[block.run]
             if run.stage_mm is not None:
-                load[block.place] = elastic_force_at(run.stage_mm, found.base)
+                load[block.rows] = elastic_force_at(run.stage_mm, result.base)
             elif run.force_N is not None:
-                load[block.place] = run.force_N
+                load[block.rows] = run.force_N
         return load
 
-    def axes_of(self, found: Fit, run: int) -> tuple[Array, Array]:
-        one = found.problem.case.runs[run]
-        load_N = one.force_N if one.force_N is not None else elastic_force_at(np.asarray(one.stage_mm), found.base)
+    def axes_of(self, result: Fit, run: int) -> tuple[Array, Array]:
+        one = result.problem.case.runs[run]
+        load_N = one.force_N if one.force_N is not None else elastic_force_at(np.asarray(one.stage_mm), result.base)
         return (one.stage_mm if one.stage_mm is not None else load_N), load_N
 
     # How causes are sought.
@@ -204,7 +204,7 @@ class TwinModel(Model):
     def mistakes(self, case: Case) -> tuple[DataMistake, ...]:
         return mistakes(case, self.method.mistake)
 
-    def base_beside(self, case: Case) -> Fit:
+    def base_of_mistaken_case(self, case: Case) -> Fit:
         """Return the base at its rough start, for recordings that are not to be fitted."""
         problem = Problem(self, case, first_noise(case))
         return fit(problem, Hypothesis(), np.nan_to_num(rough_start(case)), steps=0)
@@ -218,19 +218,22 @@ class TwinModel(Model):
         return fitted
 
     def mistakes_by_base(self, base: Fit) -> tuple[tuple[DataMistake, ...], tuple[DataMistake, ...]]:
-        odd = outlier_run(base)
-        return () if odd is None else (odd,), (*doubts(base.problem.case, self.method.mistake), *find_repeats(base))
+        outlier = outlier_run(base)
+        return () if outlier is None else (outlier,), (
+            *suspect_units(base.problem.case, self.method.mistake),
+            *find_repeats(base),
+        )
 
     def mistakes_by_search(self, search: "Search") -> tuple[DataMistake, ...]:
-        odd = outlier_run_beside(search)
-        return () if odd is None else (odd,)
+        outlier = outlier_run_with_causes(search)
+        return () if outlier is None else (outlier,)
 
     def visible(self, case: Case) -> tuple[Effect, ...]:
         return visible_effects(case, self.effects)
 
     def probes(self, base: Fit, effects: Sequence[Effect]) -> tuple[Probe, ...]:
-        extent, sized = extent_of(base), base.problem.scale.sized
-        return tuple(Probe(e, row, e.is_one_sided) for e in effects for row in e.probes(extent, sized))
+        excitation, sized = excitation_of(base), base.problem.scale.sized
+        return tuple(Probe(e, row, e.is_one_sided) for e in effects for row in e.probes(excitation, sized))
 
     def start_again(self, search: "Search") -> None:
         """Fit the likeliest from other bases: one fitted through a large gap may be far off."""
@@ -238,22 +241,22 @@ class TwinModel(Model):
         likely += search.one_less(search.leader).values()
         first = rough_start(search.base.problem.case)
         for _ in range(2):
-            for found in likely:
-                start = np.append(first, found.coordinates[found.hypothesis.of_base.stop :])
-                search.keep(fit(found.problem, found.hypothesis, start, steps=40))
+            for result in likely:
+                start = np.append(first, result.coordinates[result.hypothesis.of_base.stop :])
+                search.store(fit(result.problem, result.hypothesis, start, steps=40))
             first = search.leader.coordinates[search.leader.hypothesis.of_base]
 
     def departures(self, case: Case) -> tuple[Effect, ...]:
         is_warming, warmed_K = case.changes("temperature_C"), self.method.unmodelled.warmed_K
-        seen = [e for e in UNMODELLED_EFFECTS if e.stage not in case.unseen_stages]
-        seen = [e for e in seen if is_warming or not e.parameters[0].unit.endswith("/K")]
+        observable = [e for e in UNMODELLED_EFFECTS if e.stage not in case.unseen_stages]
+        observable = [e for e in observable if is_warming or not e.parameters[0].unit.endswith("/K")]
         # A dummy resistor that was read while it warmed tells of the electronics.
-        return (*seen, *((WARM_DIVIDER,) if case.changes("temperature_C", "dummy_resistor", warmed_K) else ()))
+        return (*observable, *((WARM_DIVIDER,) if case.changes("temperature_C", "dummy_resistor", warmed_K) else ()))
 
     # What is reported.
 
     def menu(self, base: Fit) -> tuple[MenuEntry, ...]:
-        return menu(base.problem.case, extent_of(base))
+        return menu(base.problem.case, excitation_of(base))
 
     def terms(self, base: Fit) -> Iterator[EmpiricalTerm]:
         return terms_of_twin(base)
@@ -262,52 +265,60 @@ class TwinModel(Model):
         """Fit each chain relation of the base alone, without any effect, and measure what it leaves."""
         return tuple(Map(name, structure(self.base_fit(one))) for name, one in cases_of_maps(case).items())
 
-    def where(self, search: "Search", judgement: "Judgement", causes: Sequence[RankedCause]) -> Where:
-        base, best, verdict = search.base, search.best, judgement.verdict
-        search.say("refitting the three maps separately")
+    def where(self, search: "Search", assessment: "Assessment", causes: Sequence[RankedCause]) -> Where:
+        base, best, verdict = search.base, search.best, assessment.verdict
+        search.on_progress("refitting the three maps separately")
         maps = self.maps(base.problem.case)
-        seen = tuple(replace(r, channel=short(r.channel)) for r in regimes(base))
+        regime_list = tuple(replace(r, channel=short(r.channel)) for r in regimes(base))
         if verdict == "no_gap":
-            return Where((), seen, maps)
-        dirty = [reason("gap.map", map=m.name) for m in maps if m.structure.is_significant]
-        detail = reason("gap.seen.maps", maps=several(dirty or [Reason("gap.map.none")], "gap.list"))
-        channel, regime = (seen[0].channel, seen[0].name) if seen else ("output", Reason("gap.regime.everywhere"))
+            return Where((), regime_list, maps)
+        structured = [reason("gap.map", map=m.name) for m in maps if m.structure.is_significant]
+        detail = reason("gap.seen.maps", maps=several(structured or [Reason("gap.map.none")], "gap.list"))
+        channel, regime = (
+            (regime_list[0].channel, regime_list[0].name)
+            if regime_list
+            else ("output", Reason("gap.regime.everywhere"))
+        )
         if verdict == "unknown":
-            partial = partial_of(search, judgement)
-            share, largest = partial.share if partial is not None else 0.0, seen[0].share if seen else 1.0
-            places = _unknown_places(search, maps, GapPlace("", channel, regime, largest, detail), share)
+            partial = partial_of(search, assessment)
+            share, largest = partial.share if partial is not None else 0.0, regime_list[0].share if regime_list else 1.0
+            locations = _unknown_locations(search, maps, FaultLocation("", channel, regime, largest, detail), share)
         else:
-            named = [c for c in causes if c.effect in best.ids]
-            of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
-            aliases, places = _open_aliases(best), []
-            for c, place in zip(named, of_causes, strict=True):
+            explaining = [c for c in causes if c.effect in best.ids]
+            of_causes = fault_locations(
+                explaining, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail)
+            )
+            aliases, locations = _open_aliases(best), []
+            for c, location in zip(explaining, of_causes, strict=True):
                 alias = aliases.get(c.effect)
                 if alias is None:
-                    places.append(place)
+                    locations.append(location)
                     continue
                 # The alias takes its share to its own stage.
-                known = reason("gap.seen.alias", alias=Reason.parse(alias.detail))
-                places.append(replace(place, share=(1.0 - alias.share) * place.share))
-                places.append(replace(place, stage=alias.stage, share=alias.share * place.share, detail=known))
+                ambiguity = reason("gap.seen.alias", alias=Reason.parse(alias.detail))
+                locations.append(replace(location, share=(1.0 - alias.share) * location.share))
+                locations.append(
+                    replace(location, stage=alias.stage, share=alias.share * location.share, detail=ambiguity)
+                )
             if verdict == "explained_in_part":
-                left = 1.0 - search.explained_share(best)
-                places = beside_rest(places, GapPlace("unknown", channel, regime, left))
-        at = max(places, key=lambda p: p.share).stage
-        return Where((*places, *regime_places(at, seen, "gap.seen.energy")), seen, maps)
+                residual_share = 1.0 - search.explained_share(best)
+                locations = with_residual_location(locations, FaultLocation("unknown", channel, regime, residual_share))
+        at = max(locations, key=lambda p: p.share).stage
+        return Where((*locations, *regime_locations(at, regime_list, "gap.seen.energy")), regime_list, maps)
 
     def next_experiment(
-        self, search: "Search", judgement: "Judgement", telling: NextExperiment | None
+        self, search: "Search", assessment: "Assessment", telling: NextExperiment | None
     ) -> NextExperiment:
-        group, verdict = judgement.group, judgement.verdict
+        group, verdict = assessment.group, assessment.verdict
         # Where something is left besides, causes that look alike are told apart all the same.
-        proposed = most_telling(self.menu(search.start), group) if len(group) > 1 else None
+        proposed = propose_experiment(self.menu(search.start), group) if len(group) > 1 else None
         if proposed is not None and (verdict not in ("unknown", "explained_in_part") or proposed.profile != "none"):
             return proposed
         if verdict in ("unknown", "explained_in_part"):
             if telling is not None:
                 return telling
-            seen, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
-            return NextExperiment("rate_sweep", seen if search.base.problem.case.has("stage_mm") else unseen)
+            explanation, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
+            return NextExperiment("rate_sweep", explanation if search.base.problem.case.has("stage_mm") else unseen)
         if verdict == "no_gap":
             return NextExperiment("long_hold", Reason("gap.next.slow"))
         for effect_id, alias in _open_aliases(search.best).items():
@@ -316,7 +327,7 @@ class TwinModel(Model):
         return NextExperiment("none", Reason("gap.next.separated"))
 
     def report(self, diagnosis: "Diagnosis[TwinModel]") -> dict[str, object]:
-        named, case, is_spoilt = diagnosis.named, diagnosis.case, diagnosis.verdict == "data"
+        catalogue_fit, case, is_invalid = diagnosis.catalogue_fit, diagnosis.case, diagnosis.verdict == "data"
         out: dict[str, object] = {"gap": {short(channel): vars(gap) for channel, gap in diagnosis.gap.items()}}
         if (described := diagnosis.residual) is not None:
             first = described.terms[0].term
@@ -327,18 +338,20 @@ class TwinModel(Model):
             "missing_channels": list(case.missing_channels),
             "unseen_stages": list(case.unseen_stages),
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in BUILTIN_EFFECTS],
-            "base": {p.name: getattr(named.base, p.name) for p in BASE},
+            "base": {p.name: getattr(catalogue_fit.base, p.name) for p in BASE},
             "noise": {
-                short(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
-                for channel, sigma in named.problem.sigma.items()
-                if (fades := named.problem.colour.get(channel)) is not None
+                short(channel): {"white": sigma, "fading": correlation.spread, "fading_s": correlation.fading_s}
+                for channel, sigma in catalogue_fit.problem.sigma.items()
+                if (correlation := catalogue_fit.problem.correlation.get(channel)) is not None
             },
             "offsets": [
                 {"run": run + 1} | dict(zip(("force_N", "resistance", "seat_mm"), sizes.tolist(), strict=True))
-                for run, sizes in named.problem.offset_sizes(named.hypothesis, named.coordinates).items()
+                for run, sizes in catalogue_fit.problem.offset_sizes(
+                    catalogue_fit.hypothesis, catalogue_fit.coordinates
+                ).items()
             ],
-            "twin": None if is_spoilt else twin_record(explained_twin(diagnosis.best)),
-            "base_twin": None if is_spoilt else twin_record(explained_twin(diagnosis.base)),
+            "twin": None if is_invalid else twin_record(explained_twin(diagnosis.best)),
+            "base_twin": None if is_invalid else twin_record(explained_twin(diagnosis.base)),
             "maps": [
                 {"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in diagnosis.where.maps
             ],
@@ -357,12 +370,14 @@ def short(channel: str) -> str:
 def _open_aliases(best: Fit) -> dict[str, Alias]:
     """What a named cause may be outside the catalogue, where no run tells; by cause."""
     aliases = {i: EFFECTS[i].signs.alias for i in best.ids}
-    return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
+    return {i: alias for i, alias in aliases.items() if alias is not None and not is_resolved(best.problem.case, alias)}
 
 
-def _unknown_places(search: "Search", maps: tuple[Map, ...], seen: GapPlace, share: float) -> list[GapPlace]:
+def _unknown_locations(
+    search: "Search", maps: tuple[Map, ...], location: FaultLocation, share: float
+) -> list[FaultLocation]:
     """Where a gap lies that nothing in the catalogue explains: the likeliest stage first."""
-    loose, detail = loose_noise(search.best), seen.detail
+    loose, detail = loose_noise(search.best), location.detail
     stages: tuple[str, ...] = likely_stages(search.base, maps)
     if search.unmodelled is not None:
         effect = next(one for one in (*UNMODELLED_EFFECTS, WARM_DIVIDER) if one in search.unmodelled.effects)
@@ -375,5 +390,5 @@ def _unknown_places(search: "Search", maps: tuple[Map, ...], seen: GapPlace, sha
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.ids)) or ("unknown",)
     code = "gap.seen.left" if search.unmodelled is None else "gap.seen.better"
     # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.
-    others = [replace(seen, stage=stage, detail=Reason("gap.seen.same_maps")) for stage in stages[1:]]
-    return [replace(seen, stage=stages[0], detail=reason(code, seen=detail, share=share)), *others]
+    others = [replace(location, stage=stage, detail=Reason("gap.seen.same_maps")) for stage in stages[1:]]
+    return [replace(location, stage=stages[0], detail=reason(code, seen=detail, share=share)), *others]

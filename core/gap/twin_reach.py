@@ -89,7 +89,7 @@ def rough_start(case: Case) -> Array:
     return np.array([to_fit(p, v) for p, v in zip(BASE, values, strict=True)])
 
 
-def extent_of(base: Fit) -> ExcitationRange:
+def excitation_of(base: Fit) -> ExcitationRange:
     """Measure a case; depth and force beyond what was recorded come from the fitted base."""
     case = base.problem.case
     depths = [float(stage_mm.max()) for stage_mm in case.recorded("stage_mm")]
@@ -110,11 +110,11 @@ def extent_of(base: Fit) -> ExcitationRange:
 
 def visible_effects(case: Case, effects: Mapping[str, Effect] = EFFECTS) -> tuple[Effect, ...]:
     """Return the effects of a list that the recorded channels can show at all."""
-    seen = [effect for effect in effects.values() if effect.stage not in case.unseen_stages]
-    return tuple(effect for effect in seen if all(map(case.changes, effect.signs.needs)))
+    observable = [effect for effect in effects.values() if effect.stage not in case.unseen_stages]
+    return tuple(effect for effect in observable if all(map(case.changes, effect.signs.needs)))
 
 
-def is_told(case: Case, alias: Alias) -> bool:
+def is_resolved(case: Case, alias: Alias) -> bool:
     """Whether a run of the case tells an effect from what looks exactly like it elsewhere."""
     return case.changes(alias.changing, alias.distinguished_by, alias.by)
 
@@ -128,19 +128,19 @@ def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
         load_N = float(elastic_force(np.array(depth_mm), base.base.k1_N_mm, base.base.k3_N_mm3))
     else:
         load_N = depth_mm = max(float(np.max(run.driving_force.force_N)) for run in case.presses)
-    for place, name in product(TERM_TARGETS, VARIABLES):
-        is_seen = case.has("stage_mm") if place == "F" else place in problem.scored_channels
-        if is_seen and (not VARIABLES[name].needs or case.has(VARIABLES[name].needs)):
-            yield EmpiricalTerm(place, name, 0.0, load_N, depth_mm)
+    for target, name in product(TERM_TARGETS, VARIABLES):
+        is_observable = case.has("stage_mm") if target == "F" else target in problem.scored_channels
+        if is_observable and (not VARIABLES[name].needs or case.has(VARIABLES[name].needs)):
+            yield EmpiricalTerm(target, name, 0.0, load_N, depth_mm)
 
 
-def menu(case: Case, extent: ExcitationRange) -> tuple[MenuEntry, ...]:
+def menu(case: Case, excitation: ExcitationRange) -> tuple[MenuEntry, ...]:
     """Return what can be recorded here: profiles to the depth already pressed, and special runs."""
-    d, rate_Hz, series_ohm = extent.depth_mm, case.readout.sample_rate_Hz, case.readout.r_series_ohm
+    d, rate_Hz, series_ohm = excitation.depth_mm, case.readout.sample_rate_Hz, case.readout.r_series_ohm
     entries: list[MenuEntry] = []
 
-    def add(name: str, minutes: float, title: str, t_s: Array, kind: RunKind, **given: Any) -> None:
-        run = Run(title, t_s, case.readout, kind=kind, is_planned=True, **given)
+    def add(name: str, minutes: float, title: str, t_s: Array, kind: RunKind, **columns: Any) -> None:
+        run = Run(title, t_s, case.readout, kind=kind, is_planned=True, **columns)
         entries.append(MenuEntry(name, run, SET_UP_min[kind] + minutes))
 
     def zeros(t_s: Array) -> dict[str, Array]:
@@ -166,22 +166,22 @@ def menu(case: Case, extent: ExcitationRange) -> tuple[MenuEntry, ...]:
     for ohm in (0.5 * series_ohm, 2.0 * series_ohm) if case.has("output_V") else ():
         add("dummy_resistor", 1.0, "dummy", t_s, "dummy_resistor", output_V=nothing, dummy_ohm=ohm)
     if case.has("force_N"):
-        stairs = extent.force_N * np.floor(part * (LEVELS - 1e-9)) / (LEVELS - 1)
+        stairs = excitation.force_N * np.floor(part * (LEVELS - 1e-9)) / (LEVELS - 1)
         add("dead_weights", 1.0, "weights", t_s, "dead_weights", force_N=nothing, known_force_N=stairs)
     if case.has("force_N") and case.has("stage_mm"):
         up_down = 1.0 - np.abs(2 * part - 1.0)
-        force_N = extent.force_N * up_down
+        force_N = excitation.force_N * up_down
         add("rigid_block", 1.0, "block", t_s, "rigid_block", stage_mm=up_down, force_N=force_N)
     return tuple(entries)
 
 
-def known_by_chain(found: Fit, channel: str) -> list[Array]:
+def explanatory_chain_signals(result: Fit, channel: str) -> list[Array]:
     """Return what the chain of the base knows, (samples,) each, 0 outside the pressed runs."""
-    problem, out, config = found.problem, dict[str, Array](), found.problem.method.floor
+    problem, out, config = result.problem, dict[str, Array](), result.problem.method.floor
     blocks = [b for b in problem.blocks_of(channel, "press") if problem.case.runs[b.run].stage_mm is not None]
     runs = [problem.case.runs[b.run] for b in blocks]
-    depths = [np.maximum(np.asarray(run.stage_mm) - found.base.u0_mm, 0.0) for run in runs]
-    loads = [elastic_force(depth, found.base.k1_N_mm, found.base.k3_N_mm3) for depth in depths]
+    depths = [np.maximum(np.asarray(run.stage_mm) - result.base.u0_mm, 0.0) for run in runs]
+    loads = [elastic_force(depth, result.base.k1_N_mm, result.base.k3_N_mm3) for depth in depths]
     deepest, largest = (max((float(part.max()) for part in p), default=1.0) or 1.0 for p in (depths, loads))
     for block, run, depth_mm, load_N in zip(blocks, runs, depths, loads, strict=True):
         t_s, depth, load = run.elapsed_s, depth_mm / deepest, load_N / largest
@@ -201,11 +201,11 @@ def known_by_chain(found: Fit, channel: str) -> list[Array]:
             remembered = low_pass(load, run.step_s, tau_s, np.zeros(2))
             columns |= {f"memory {tau_s}": remembered, f"load · memory {tau_s}": load * remembered}
         for name, column in columns.items():
-            out.setdefault(name, np.zeros(len(problem.measured)))[block.place] = column
+            out.setdefault(name, np.zeros(len(problem.measured)))[block.rows] = column
     return list(out.values())
 
 
-TIME, WARMTH, PLACE = attrgetter("t_s"), attrgetter("warmed_K"), attrgetter("stage_mm")
+TIME, WARMTH, POSITION = attrgetter("t_s"), attrgetter("warmed_K"), attrgetter("stage_mm")
 """What of the flow a departure may follow."""
 
 
@@ -248,7 +248,7 @@ UNMODELLED_EFFECTS = (
     _unmodelled("gap.like.cell_span_in_time", "load_cell", Hook.READING, changing("reading_N", TIME), "1/s", 1e-3),
     _unmodelled("gap.like.cell_span_when_warm", "load_cell", Hook.READING, changing("reading_N", WARMTH), "1/K", 5e-3),
     _unmodelled("gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", WARMTH), "N/K", 0.01),
-    _unmodelled("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
+    _unmodelled("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", POSITION), "N/mm", 0.05),
     _unmodelled("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
 )
 """Generic departures; the identifier is the reason that says what one is like."""
@@ -333,7 +333,7 @@ def dither_of(problem: "Problem") -> float | None:
     """Return the noise before an ADC that is coarse against it; None where its stairs do not show."""
     if "output_V" not in problem.sigma:
         return None
-    return dither_V(problem.floor("output_V"), problem.case.readout.step_V)
+    return dither_V(problem.noise_floor("output_V"), problem.case.readout.step_V)
 
 
 def bases_of(base: BaseParameters, sizes: Mapping[int, Array]) -> dict[int, BaseParameters]:

@@ -32,8 +32,8 @@ class AnchoredMap:
         return self.offset + self.gain * self.inner.apply_signal(signal)
 
     def arrays(self) -> Arrays:
-        own = {"anchor_gain": np.array(self.gain), "anchor_offset": np.array(self.offset)}
-        return {**self.inner.arrays(), **own}
+        line = {"anchor_gain": np.array(self.gain), "anchor_offset": np.array(self.offset)}
+        return {**self.inner.arrays(), **line}
 
     def settings(self) -> Settings:
         return self.inner.settings()
@@ -72,36 +72,36 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     little.
 
     Args:
-        kind: how its loads are known: `paired`, `stage`, or empty for anything else (`core/unit/knowledge.py`).
+        kind: how its loads are known: `paired`, `stage`, or empty for anything else (`core/unit/correspondence.py`).
     """
     config, output = problem.config.anchors, problem.source.unlabelled.output
     low, high = np.quantile(output, problem.config.crossing.robust_range)
     rest = float(low if problem.source.direction > 0 else high)
-    spreads = {known: (gain, level) for known, gain, level in config.spread}
-    spread, (own, share) = spreads[""][0], spreads[kind]
+    spreads = {name: (gain, level) for name, gain, level in config.spread}
+    spread, (gain_spread, share) = spreads[""][0], spreads[kind]
     level = share * float(high - low)
-    prior = np.array([own, level])
+    prior = np.array([gain_spread, level])
     mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
-    wanted, sigma = np.array([source_level(problem.source, load, config) for load in anchors.reference]).T
+    expected, sigma = np.array([source_level(problem.source, load, config) for load in anchors.reference]).T
     if kind:
         # The error of f on its source, carried to the source's output.
         rows = np.linspace(0, len(problem.source.windows) - 1, problem.config.pairs.pairs // 2).astype(np.int64)
         read = problem.network.evaluate(problem.source.windows[rows])
         sigma = np.hypot(sigma, rmse(read, problem.source.window_reference[rows]) * _mean_slope(problem.source))
-    taken = 1.0 - wanted.size / max(float(np.sum(((wanted - mapped) / sigma) ** 2)), wanted.size)
+    shrinkage = 1.0 - expected.size / max(float(np.sum(((expected - mapped) / sigma) ** 2)), expected.size)
     # In standard deviations of the prior, whose own residual is then the unknown itself. Pairs pressed with another
     # load than the source's know the gain no better than the output alone does.
     design = np.stack([spread * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
     normal = design.T @ design + np.eye(2)
-    theta = taken * np.linalg.solve(normal, design.T @ ((wanted - mapped) / sigma))
+    theta = shrinkage * np.linalg.solve(normal, design.T @ ((expected - mapped) / sigma))
     gain = 1.0 + spread * float(theta[0])
     offset = float(rest * (1.0 - gain) + level * theta[1])
-    misfit = rms((offset + gain * mapped - wanted) / sigma)
+    misfit = rms((offset + gain * mapped - expected) / sigma)
     # Loads that do not fit a gain and an offset know neither better than they fit.
     # The unknowns were counted where the map was before; errors count where it is now: at rest and about it.
     now = np.array([[spread / gain, 0.0], [-spread * level * float(theta[1]) / gain, level]])
     covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
-    error = np.sqrt(taken * np.diag(covariance) + (1.0 - taken) * prior**2)
+    error = np.sqrt(shrinkage * np.diag(covariance) + (1.0 - shrinkage) * prior**2)
     return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), misfit)
 
 
@@ -144,23 +144,23 @@ class SourceLevels:
         return np.interp(load, self.load, self.output)
 
     @classmethod
-    def of(cls, source: LabelledRecording, config: AnchorConfig) -> "SourceLevels":
+    def from_source(cls, source: LabelledRecording, config: AnchorConfig) -> "SourceLevels":
         """Take them from a recording, and two more at each end, where its line goes on."""
         count = config.levels
         low, high = float(source.reference.min()), float(source.reference.max())
         step = (high - low) / (count - 1)
         load = low + step * np.arange(-2.0, count + 2)
         inside = load[2:-2]
-        away = np.array([np.min(np.abs(source.reference - one)) for one in inside])
+        distance = np.array([np.min(np.abs(source.reference - one)) for one in inside])
         # A source that was held at a few loads shows nothing between them.
-        shown = inside[away <= config.near * (high - low)]
-        output = np.interp(inside, shown, [source_level(source, one, config)[0] for one in shown])
+        visited = inside[distance <= config.near * (high - low)]
+        output = np.interp(inside, visited, [source_level(source, one, config)[0] for one in visited])
         first, last = output[0] - output[1], output[-1] - output[-2]
         before, after = output[0] + first * np.array([2.0, 1.0]), output[-1] + last * np.array([1.0, 2.0])
         return cls(load, np.concatenate([before, output, after]))
 
 
-def source_bend(source: LabelledRecording, config: MapConfig) -> float:
+def source_curvature(source: LabelledRecording, config: MapConfig) -> float:
     """Return how far the source's output over load is from a straight line, RMS, as a share of its rise."""
     low, high = np.quantile(source.reference, config.curve.shares)
     loads = np.linspace(float(low), float(high), config.anchors.levels // 2 + 1)

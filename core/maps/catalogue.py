@@ -59,11 +59,11 @@ _LISTED = (
 BUILTIN_FAMILIES: Mapping[str, MapFamily] = {family.name: family for family in _LISTED}
 
 
-def _is_family(thing: object) -> bool:
-    if isinstance(thing, type):
+def _is_family(candidate: object) -> bool:
+    if isinstance(candidate, type):
         return False
-    has_name = isinstance(getattr(thing, "name", None), str)
-    return has_name and all(callable(getattr(thing, name, None)) for name in ("fit", "from_arrays"))
+    has_name = isinstance(getattr(candidate, "name", None), str)
+    return has_name and all(callable(getattr(candidate, name, None)) for name in ("fit", "from_arrays"))
 
 
 PLUGINS = PluginKind[MapFamily]("softcal.maps", "map family", "a MapFamily", _is_family, lambda family: family.name)

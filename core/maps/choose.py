@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.affine_map import AFFINE, IDENTITY, TWO_POINT, fit_two_point
-from softcal.core.maps.anchors import refine, source_bend
+from softcal.core.maps.anchors import refine, source_curvature
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.crossing import CACHED, swings
@@ -117,7 +117,7 @@ def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, d
         "synchrony_sigma": synchrony.sigma,
     }
     # In order of trust: the first that can be fitted is taken, since a known pair beats any matched distribution.
-    for name, is_offered, why in (
+    for name, is_offered, cause in (
         (SYNCHRONOUS, synchrony.is_synchronous and not is_opening, "pressed by the source's load at the same time"),
         (STAGE_MATCHED, problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
         (SYNCHRONOUS, synchrony.is_synchronous, "opened by the source's load at the same time: that part is paired"),
@@ -130,7 +130,7 @@ def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, d
                 evidence["lag_s"] = synchrony.lag_s
                 if is_opening:
                     evidence["shared_until_s"] = synchrony.until_s
-            return name, evidence | {"decision": why}
+            return name, evidence | {"decision": cause}
     name, numbers = _without_pairs(problem, candidates)
     return name, evidence | numbers
 
@@ -155,8 +155,8 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
         "dwell_distance": dwell,
     }
     if rate > config.unlike_rate:
-        why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
-        return TWO_POINT, numbers | {"decision": why}
+        cause = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
+        return TWO_POINT, numbers | {"decision": cause}
     # Both gain and rest must be within two standard errors: a map that is not needed only adds its own error.
     is_same_gain = abs(np.log(match.gain)) < 2 * match.gain_error
     is_same_rest = abs(match.rest_shift) < 2 * match.rest_error
@@ -164,15 +164,19 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
         return IDENTITY, numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < config.same_programme:
         return MONOTONE, numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
-    known = 0 if problem.anchors is None else len(problem.anchors.reference)
-    if known > 1 and (bend := source_bend(problem.source, problem.config)) < problem.config.anchors.straight:
-        why = "known loads give gain and level, and the source is straight between them: so is the unit, of its kind"
-        return TWO_POINT, numbers | {"source_bend": bend, "decision": why}
-    why = (
+    loads = 0 if problem.anchors is None else len(problem.anchors.reference)
+    if (
+        loads > 1
+        and (curvature := source_curvature(problem.source, problem.config))
+        < problem.config.anchors.max_linear_curvature
+    ):
+        cause = "known loads give gain and level, and the source is straight between them: so is the unit, of its kind"
+        return TWO_POINT, numbers | {"source_bend": curvature, "decision": cause}
+    cause = (
         f"{dwell:.0%} of the time is spent at other loads, or the unit is bent otherwise: mean of sample quantiles and "
         f"of rest and hardest presses, whose gain is uncertain by {match.gain_error:.1%}"
     )
-    return AVERAGED, numbers | {"decision": why}
+    return AVERAGED, numbers | {"decision": cause}
 
 
 def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) -> float:
@@ -181,12 +185,12 @@ def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) ->
     Total variation distance between the shares of time per level, rising or falling, of the source and of (m, taps)
     windows of the target after its map.
     """
-    edges, source_share = _use(source, cells)
+    edges, source_share = _time_shares(source, cells)
     return float(np.abs(source_share - _shares(mapped_target, edges)).sum() / 2)
 
 
 @lru_cache(maxsize=CACHED)
-def _use(source: OutputRecording, cells: int) -> tuple[Array, Array]:
+def _time_shares(source: OutputRecording, cells: int) -> tuple[Array, Array]:
     """Return the inner edges of the levels, and the share of time in each cell."""
     # Equal shares of the source per cell: each difference from them is then known equally well.
     windows = source.bridged.windows

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from softcal.core.maps.affine_map import TWO_POINT
-from softcal.core.maps.anchors import source_bend
+from softcal.core.maps.anchors import source_curvature
 from softcal.core.maps.choose import ChosenMap, choose_map
 from softcal.core.maps.config import MapConfig, SharedLoadConfig
 from softcal.core.maps.crossing import swings
@@ -89,10 +89,10 @@ class LotMember:
         self.line_share = 0.5
 
     @property
-    def known_better(self) -> Reason | None:
+    def exclusion_reason(self) -> Reason | None:
         """Why its load needs no other unit; None where it does."""
-        known = self.alone.family in (SYNCHRONOUS, STAGE_MATCHED) or self.problem.anchors is not None
-        return reason("lot_fit.known") if known else None
+        has_load = self.alone.family in (SYNCHRONOUS, STAGE_MATCHED) or self.problem.anchors is not None
+        return reason("lot_fit.known") if has_load else None
 
     def at(self, first: OutputRecording) -> tuple[Indices, Indices]:
         """Return rows of windows of the group's first unit, and of this one, under one load."""
@@ -121,18 +121,18 @@ def find_groups(
 
     Each unit is compared with the first of a few groups, so that the cost is linear.
     """
-    left, rules = list(targets), config.shared_load
+    remaining, rules = list(targets), config.shared_load
     for _ in range(rules.max_groups):
-        if len(left) < rules.min_members:
+        if len(remaining) < rules.min_members:
             return
-        first, others, left = left[0], left[1:], []
+        first, others, remaining = remaining[0], remaining[1:], []
         group = [(first, Synchrony(0.0, 1.0, 1.0, np.inf, is_synchronous=True))]
         for one in others:
             synchrony = find_synchrony(first, one, config)
             if synchrony.is_synchronous:
                 group.append((one, synchrony))
             else:
-                left.append(one)
+                remaining.append(one)
         if len(group) >= rules.min_members:
             yield group
 
@@ -144,7 +144,7 @@ class SharedLoad:
         self._config, self._first = config, members[0].problem.target
         count = len(self._first.windows)
         self._thin = evenly(count, config.instants)
-        self.left: dict[str, Reason] = {}
+        self.excluded: dict[str, Reason] = {}
         self._members = self._calm(members)
         self._weights = self._decide_line()
         # Sums over the units: weight, estimates, mapped samples.
@@ -161,13 +161,13 @@ class SharedLoad:
         usual = float(np.median(rates))
         for one, rate in zip(members, rates, strict=True):
             if rate > maps.choice.unlike_rate * usual > 0:
-                self.left[one.serial] = reason("lot_fit.noisy", times=rate / usual)
-        return [one for one in members if one.serial not in self.left]
+                self.excluded[one.serial] = reason("lot_fit.noisy", times=rate / usual)
+        return [one for one in members if one.serial not in self.excluded]
 
     def _share(self, one: LotMember, weight: float) -> tuple[Indices, Array]:
         """Return the rows a unit adds to, and what it adds: weight, weighted estimates, weighted mapped samples."""
-        rows, own = one.at(self._first)
-        return rows, weight * np.stack([np.ones(len(rows)), *one.mapped(own)])
+        rows, target_rows = one.at(self._first)
+        return rows, weight * np.stack([np.ones(len(rows)), *one.mapped(target_rows)])
 
     def _decide_line(self) -> Array:
         """Settle how far the lines through rest and peak are believed beside the curves of equal quantiles.
@@ -192,12 +192,12 @@ class SharedLoad:
         first = self._members[0].problem
         span = float(np.ptp(np.quantile(first.source.reference, first.config.curve.shares)))
         spread, apart = (float(np.nanmean(of**2)) / span**2 for of in (estimates - loads[1], loads[1] - loads[0]))
-        bend = source_bend(first.source, first.config)
+        curvature = source_curvature(first.source, first.config)
         # Units that miss the hardest presses of the source miss them together: that error is one for all.
         gain_error = float(np.median([float(one.alone.evidence["gain_error"]) for one in undecided]))
         low = first.config.crossing.robust_range[0]
         gain = gain_error * rms(loads[1] - np.quantile(loads[1], low)) / span
-        share, shape_error = weigh_lines(spread, bend, apart, gain, len(self._members), first.config)
+        share, shape_error = weigh_lines(spread, curvature, apart, gain, len(self._members), first.config)
         for one in undecided:
             one.line_share = share
         estimates = self._estimates()
@@ -209,10 +209,10 @@ class SharedLoad:
         """Return the estimates of every unit by its own map at some instants: (units, instants), NaN where none is."""
         estimates = np.full((len(self._members), len(self._thin)), np.nan)
         for k, one in enumerate(self._members):
-            rows, own = one.at(self._first)
-            place = np.minimum(np.searchsorted(rows, self._thin), len(rows) - 1)
-            is_seen = rows[place] == self._thin
-            estimates[k, is_seen] = one.mapped(own[place[is_seen]])[0]
+            rows, target_rows = one.at(self._first)
+            position = np.minimum(np.searchsorted(rows, self._thin), len(rows) - 1)
+            is_covered = rows[position] == self._thin
+            estimates[k, is_covered] = one.mapped(target_rows[position[is_covered]])[0]
         return estimates
 
     def _weighed(self, estimates: Array) -> Array:
@@ -221,13 +221,15 @@ class SharedLoad:
         w_i = 1 / (s^2 + d_i^2), with d_i the distance and s its median: the weights of a Student t location estimate
         (Lange, Little and Taylor 1989). A unit that errs much counts little.
         """
-        is_seen = np.isfinite(estimates)
-        weights, filled = np.ones(len(estimates)), np.where(is_seen, estimates, 0.0)
+        is_covered = np.isfinite(estimates)
+        weights, filled = np.ones(len(estimates)), np.where(is_covered, estimates, 0.0)
         for _ in range(self._config.rounds):
-            total, sums = weights @ is_seen, weights @ filled
+            total, sums = weights @ is_covered, weights @ filled
             # A unit is held against the others alone: with few units it would else be its own witness.
-            others = (total - weights[:, None] * is_seen), (sums - weights[:, None] * filled)
-            distance = np.where(is_seen & (others[0] > 0), filled - others[1] / np.maximum(others[0], 1e-300), np.nan)
+            others = (total - weights[:, None] * is_covered), (sums - weights[:, None] * filled)
+            distance = np.where(
+                is_covered & (others[0] > 0), filled - others[1] / np.maximum(others[0], 1e-300), np.nan
+            )
             apart = np.sqrt(_mean_square(distance))
             fresh = 1.0 / (np.median(apart) ** 2 + apart**2 + 1e-300)
             fresh *= len(estimates) / fresh.sum()
@@ -239,19 +241,19 @@ class SharedLoad:
 
     def _others(self, one: LotMember, weight: float) -> LabelledRecording:
         """Return the common load of the other units: their mean mapped samples, and their mean estimates beside."""
-        rows, own = self._share(one, weight)
+        rows, own_share = self._share(one, weight)
         total = self._total.copy()
-        total[:, rows] -= own
-        seen = np.flatnonzero(total[0] > self._config.min_share)
-        at = self._first.window_rows[seen]
+        total[:, rows] -= own_share
+        covered = np.flatnonzero(total[0] > self._config.min_share)
+        at = self._first.window_rows[covered]
         output = OutputRecording(
             "common",
             self._first.t_s[at],
-            total[2, seen] / total[0, seen],
+            total[2, covered] / total[0, covered],
             self._first.sample_rate_Hz,
             one.problem.source.unlabelled.output_unit,
         )
-        return LabelledRecording(output, total[1, seen] / total[0, seen], one.problem.source.reference_unit)
+        return LabelledRecording(output, total[1, covered] / total[0, covered], one.problem.source.reference_unit)
 
     def _pair(self, paired: Collection[str]) -> None:
         self._maps, self._apart, bins = {}, {}, []
@@ -260,14 +262,14 @@ class SharedLoad:
                 continue
             common = self._others(one, weight)
             problem = FitProblem(common, one.problem.network, one.problem.target, config=one.problem.config)
-            known, own = paired_rows(common.unlabelled, problem.target, one.synchrony)
-            if len(own) < one.problem.config.pairs.blocks * TAPS:
-                self.left[one.serial] = reason("lot_fit.alone")
+            common_rows, target_rows = paired_rows(common.unlabelled, problem.target, one.synchrony)
+            if len(target_rows) < one.problem.config.pairs.blocks * TAPS:
+                self.excluded[one.serial] = reason("lot_fit.alone")
                 continue
-            unit_map = fit_pairs(problem, known, own, SHARED_LOAD)
-            rows = evenly(len(own), self._config.instants)
-            load = common.window_reference[known[rows]]
-            windows = problem.target.windows[own[rows]]
+            unit_map = fit_pairs(problem, common_rows, target_rows, SHARED_LOAD)
+            rows = evenly(len(target_rows), self._config.instants)
+            load = common.window_reference[common_rows[rows]]
+            windows = problem.target.windows[target_rows[rows]]
             before, after = (
                 problem.network.evaluate(each.apply(windows)) - load for each in (one.alone.unit_map, unit_map)
             )
@@ -277,7 +279,7 @@ class SharedLoad:
         usual = float(np.median([rest for _, rest in self._apart.values()] or [0.0]))
         for serial, (_, rest) in self._apart.items():
             if rest > self._config.outlying * usual:
-                self.left[serial] = reason("lot_fit.outlier", rmse=rest, usual=usual, unit=self._unit)
+                self.excluded[serial] = reason("lot_fit.outlier", rmse=rest, usual=usual, unit=self._unit)
         self.growth = _growth(np.median(np.stack(bins), axis=0)) if bins else 0.0
 
     @property
@@ -286,19 +288,19 @@ class SharedLoad:
 
     @property
     def _inside(self) -> list[str]:
-        return [one.serial for one in self._members if one.serial not in self.left]
+        return [one.serial for one in self._members if one.serial not in self.excluded]
 
     @cached_property
     def reason(self) -> Reason | None:
         """Why the maps are not paired with the common load; None where they are."""
-        inside, why = self._inside, None
+        inside, cause = self._inside, None
         if self.growth > self._config.max_growth:
-            why = reason("lot_fit.spread", share=self.growth)
+            cause = reason("lot_fit.spread", share=self.growth)
         elif len(inside) < self._config.min_members:
-            why = reason("lot_fit.few", count=len(inside))
-        if why is not None:
-            self.left |= {serial: why for serial in inside}
-        return why
+            cause = reason("lot_fit.few", count=len(inside))
+        if cause is not None:
+            self.excluded |= {serial: cause for serial in inside}
+        return cause
 
     def fitted(self, group: int) -> dict[str, LotUnit]:
         """Return the units whose maps are paired with the common load."""
@@ -306,7 +308,7 @@ class SharedLoad:
         return {
             serial: LotUnit(by_serial[serial][0].alone, unit_map, group, by_serial[serial][1], *self._parts(serial))
             for serial, unit_map in self._maps.items()
-            if serial not in self.left
+            if serial not in self.excluded
         }
 
     def _parts(self, serial: str) -> tuple[float, float]:
@@ -316,14 +318,14 @@ class SharedLoad:
     @property
     def summary(self) -> LoadGroup:
         """What the group has in common."""
-        seen = np.flatnonzero(self._total[0] > self._config.min_share)
-        at = self._first.window_rows[seen]
-        load = self._total[1, seen] / self._total[0, seen]
+        covered = np.flatnonzero(self._total[0] > self._config.min_share)
+        at = self._first.window_rows[covered]
+        load = self._total[1, covered] / self._total[0, covered]
         return LoadGroup(tuple(self._inside), self._first.t_s[at], load, self._shape_rmse, self._gain_rmse)
 
 
 def weigh_lines(
-    spread: float, bend: float, apart: float, gain: float, units: int, config: MapConfig
+    spread: float, curvature: float, apart: float, gain: float, units: int, config: MapConfig
 ) -> tuple[float, float]:
     """Return how far lines through rest and peak are believed beside curves of equal quantiles, and what is left.
 
@@ -340,7 +342,7 @@ def weigh_lines(
 
     Args:
         spread: s^2, as all else as a share of the source's range.
-        bend: b.
+        curvature: b.
         apart: D^2.
         gain: standard uncertainty of what the hardest presses of the units fall short of the source's.
         units: n.
@@ -349,8 +351,8 @@ def weigh_lines(
         The share of the lines, and the standard uncertainty of the common load by both, without that of its gain.
     """
     shared = config.shared_load
-    drawn = spread / (spread + shared.mean_bend**2)
-    of_lines = (drawn * bend) ** 2 + drawn * shared.mean_bend**2 + spread / units + gain**2
+    individual = spread / (spread + shared.mean_curvature**2)
+    of_lines = (individual * curvature) ** 2 + individual * shared.mean_curvature**2 + spread / units + gain**2
     of_curves = 0.5 * (max(apart - of_lines, 0.0) + shared.dwell**2)
     share, error = weigh_line(of_lines**0.5, of_curves**0.5, correlation=0.0)
     return share, float(np.sqrt(max(error**2 - (share * gain) ** 2, 0.0)))
@@ -361,8 +363,8 @@ def _mean_square(apart: Array) -> Array:
 
 
 def _mean(estimates: Array, weights: Array) -> Array:
-    is_seen = np.isfinite(estimates)
-    return np.asarray(weights @ np.where(is_seen, estimates, 0.0) / np.maximum(weights @ is_seen, 1e-300))
+    is_covered = np.isfinite(estimates)
+    return np.asarray(weights @ np.where(is_covered, estimates, 0.0) / np.maximum(weights @ is_covered, 1e-300))
 
 
 def _by_load(load: Array, apart: Array, bands: int) -> Array:

@@ -61,7 +61,7 @@ class EndConfig:
     clear_of_noise: float = setting(6.0)
 
     @property
-    def reach(self) -> tuple[float, float]:
+    def quantile_range(self) -> tuple[float, float]:
         """Quantiles between which a recording is said to reach."""
         return self.rest_share, 1 - self.rest_share
 
@@ -100,12 +100,12 @@ class SynchronyConfig:
         settled_s: ... averaged over so long: what is left is creep, drift or another load, neither noise nor timing.
             Loads that part slowly are alike for a while: twice as much of the opening's end is not used.
         off_curve: or within so many times what the opening itself shows: lags and loops differ from unit to unit.
-        least_swings: up and down three times alike is no chance; two slow rises are.
+        min_swings: up and down three times alike is no chance; two slow rises are.
         covered_share: of the source's range that an opening, or a whole recording, must reach over.
         scales: fine structure is what a mean over this many samples keeps and one over `apart` times as many does not.
         apart: lags beyond so many scales are unrelated. A recording is long enough for a scale from twice as many on,
             and leaves unrelated lags alone from four times as many on.
-        shown_share: quantile of the opening's own distances from one curve that stands for them.
+        opening_quantile: quantile of the opening's own distances from one curve that stands for them.
         chance: the largest agreement at unrelated lags counts beyond so many standard deviations.
     """
 
@@ -116,11 +116,11 @@ class SynchronyConfig:
     same_curve: float = setting(0.06)
     settled_s: float = setting(1.0)
     off_curve: float = setting(3.0)
-    least_swings: int = setting(6)
+    min_swings: int = setting(6)
     covered_share: float = setting(0.75)
     scales: tuple[int, ...] = setting((5, 25, 50))
     apart: int = setting(10)
-    shown_share: float = setting(0.9)
+    opening_quantile: float = setting(0.9)
     chance: float = setting(4.0)
 
 
@@ -129,12 +129,12 @@ class LagConfig:
     """Whether a readout follows slower than the source's beside one load and one clock (`readout_lag.py`).
 
     Args:
-        least_s: a lag below it is lost in a window.
+        min_lag_s: a lag below it is lost in a window.
         explained: a lag is told where a low-pass leaves so many times less unexplained than any delay or none. Creep
             that a unit has beyond its source reaches 1.4 there, a source that is read with spikes 1.8.
     """
 
-    least_s: float = setting(0.1)
+    min_lag_s: float = setting(0.1)
     explained: float = setting(2.5, "simulated lots 2-7, insole; tested on lots 40-56")
 
 
@@ -203,7 +203,7 @@ class SharedLoadConfig:
         outlying: a unit that so many times the usual difference is left of, once it is paired, was pressed otherwise.
         bands: of load over which the differences are compared.
         max_growth: where the differences grow by more than this share of the load, the press differs from unit to unit.
-        mean_bend: how far the sensors of a kind are bent on the whole: standard deviation, as a share of the range.
+        mean_curvature: how far the sensors of a kind are bent on average: standard deviation, as a share of the range.
         dwell: error of a curve of equal quantiles where source and units spend their time otherwise: the same.
         source_apart: a source is named whose common load differs by so many times what those of the others differ by.
     """
@@ -217,7 +217,7 @@ class SharedLoadConfig:
     outlying: float = setting(4.0)
     bands: int = setting(8)
     max_growth: float = setting(0.03)
-    mean_bend: float = setting(0.04, LINE_CHOSEN)
+    mean_curvature: float = setting(0.04, LINE_CHOSEN)
     dwell: float = setting(0.08, DWELL_CHOSEN)
     source_apart: float = setting(1.64, f"{SET}: 95 % of a normal distribution, one-sided")
 
@@ -232,8 +232,8 @@ class AnchorConfig:
         load_error: of a known load, as a share of the source's range.
         near: samples of the source within this share of its range around a load show its output under it.
         beyond: a known load may lie beyond the source's range by this share of it.
-        straight: beside two known loads a source that is bent by less than this share of its rise leaves its units a
-            line: they are of its kind, and a curve would take another dwell for a bend.
+        max_linear_curvature: beside two known loads a source that is bent by less than this share of its rise leaves
+            its units a line: they are of its kind, and a curve would take another dwell for a bend.
         levels: of the source that a straight line behind a map goes by, over its range; with two more at each end they
             reach a tenth of the range beyond it, as `beyond` allows. The bend is taken at every other.
     """
@@ -244,7 +244,7 @@ class AnchorConfig:
     load_error: float = setting(0.003)
     near: float = setting(0.05)
     beyond: float = setting(0.1)
-    straight: float = setting(
+    max_linear_curvature: float = setting(
         0.1, "set between simulated sources (0.05 to 0.1, units are lines) and the skin (0.12 to 0.21)"
     )
     levels: int = setting(21, "docs/format.md")

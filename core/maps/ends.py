@@ -54,51 +54,51 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
     """
     # A sensor may fall under load: every level is taken in the direction of loading.
     # Samples lost here and there end no press: bridged, a recording in pieces is one that was cut on purpose.
-    known, sign, noise, target = source.unlabelled.bridged, source.direction, output_noise(target), target.bridged
+    bridged, sign, noise, target = source.unlabelled.bridged, source.direction, output_noise(target), target.bridged
     # Pieces shorter than ten windows show levels but no presses.
     ends, lengths = config.ends, [segment.stop - segment.start for segment in target.segments]
     is_patchy = len(lengths) > 1 and float(np.median(lengths)) < 10 * TAPS
     if is_patchy:
         average = TAPS // 3
-        shown = _patch_ends([sign * _smoothed(target, average)], config)
+        unit_ends = _patch_ends([sign * _smoothed(target, average)], config)
     else:
         # The same average on both: it lowers peaks, and must lower them alike.
-        average = max(averaging_length(recording, config.crossing) for recording in (known, target))
-        shown = _stretch_ends(target, average, sign, [(0, len(target))], config)
+        average = max(averaging_length(recording, config.crossing) for recording in (bridged, target))
+        unit_ends = _stretch_ends(target, average, sign, [(0, len(target))], config)
     # Averages of one and the same value differ by rounding.
-    if not shown.span[0] > max(ends.clear_of_noise * noise, 1e-9 * float(np.abs(target.output).max())):
+    if not unit_ends.span[0] > max(ends.clear_of_noise * noise, 1e-9 * float(np.abs(target.output).max())):
         raise UnitRefused(reason("no_swing"))
     if is_patchy:
-        stretches = others = _patches(known, target, average, sign, config)
+        stretches = others = _patches(bridged, target, average, sign, config)
     else:
-        stretches, others = _stretches(known, len(target), average, sign, config)
-    return _matched(stretches, others, shown, sign, float(2 * noise / shown.span[0]), config.curve.gain_prior)
+        stretches, others = _stretches(bridged, len(target), average, sign, config)
+    return _matched(stretches, others, unit_ends, sign, float(2 * noise / unit_ends.span[0]), config.curve.gain_prior)
 
 
 def _matched(
-    stretches: Ends, others: Ends, shown: Ends, sign: float, noise_share: float, gain_prior: float
+    stretches: Ends, others: Ends, unit_ends: Ends, sign: float, noise_share: float, gain_prior: float
 ) -> EndMatch:
     # Logarithms: a unit twice as sensitive and one half as sensitive are equally far from the source.
-    log_gain = np.log(np.maximum(stretches.span, 1e-6 * stretches.span.max()) / shown.span[0])
+    log_gain = np.log(np.maximum(stretches.span, 1e-6 * stretches.span.max()) / unit_ends.span[0])
     prior = gain_prior**2
-    shrink = prior / (prior + noise_share**2)
+    shrinkage = prior / (prior + noise_share**2)
     # The smallest exponent is taken out first: all weights would underflow where every stretch is far.
     weight = np.exp(-0.5 * (log_gain**2 - np.min(log_gain**2)) / prior)
     weight /= weight.sum()
-    gain = float(np.exp(shrink * (weight @ log_gain)))
+    gain = float(np.exp(shrinkage * (weight @ log_gain)))
     rest, peak = float(weight @ stretches.rest), float(weight @ stretches.peak)
     rest_variance, peak_variance = (float(np.var(levels)) for levels in (others.rest, others.peak))
     # The better known of both levels holds the map; for long recordings that is the level at rest.
     towards_peak = rest_variance / max(rest_variance + peak_variance, 1e-300)
-    held = (1 - towards_peak) * rest + towards_peak * peak
-    offset = held - gain * float(shown.rest[0] + towards_peak * shown.span[0])
+    level = (1 - towards_peak) * rest + towards_peak * peak
+    offset = level - gain * float(unit_ends.rest[0] + towards_peak * unit_ends.span[0])
     spread = np.log(np.maximum(others.span, 1e-6 * others.span.max()))
     return EndMatch(
         gain=gain,
         offset=sign * offset,
-        gain_error=float(np.hypot(np.std(spread), (1 - shrink) * gain_prior)),
+        gain_error=float(np.hypot(np.std(spread), (1 - shrinkage) * gain_prior)),
         # Taken at the level of rest: an offset at output 0 means nothing on a sensor that rests at 2 V.
-        rest_shift=sign * (offset + (gain - 1) * float(shown.rest[0])),
+        rest_shift=sign * (offset + (gain - 1) * float(unit_ends.rest[0])),
         rest_error=float(np.sqrt(rest_variance)),
     )
 
@@ -133,8 +133,8 @@ def _stretches(source: OutputRecording, length: int, average: int, sign: float, 
     if swings < config.ends.enough_swings:
         placed = _placed(source, min(length, len(source)), average, sign, config)
         return placed, placed
-    whole = _stretch_ends(source, average, sign, [(0, len(source))], config)
-    return whole, _placed(source, min(length, len(source) // 2), average, sign, config)
+    full = _stretch_ends(source, average, sign, [(0, len(source))], config)
+    return full, _placed(source, min(length, len(source) // 2), average, sign, config)
 
 
 def _placed(source: OutputRecording, length: int, average: int, sign: float, config: MapConfig) -> Ends:
@@ -143,16 +143,16 @@ def _placed(source: OutputRecording, length: int, average: int, sign: float, con
 
 
 def _stretch_ends(
-    recording: OutputRecording, average: int, sign: float, places: list[tuple[int, int]], config: MapConfig
+    recording: OutputRecording, average: int, sign: float, stretches: list[tuple[int, int]], config: MapConfig
 ) -> Ends:
     level, path = sign * _smoothed(recording, average), level_path(recording, average, config.crossing)
-    rest = [float(np.quantile(level[start:stop], config.ends.rest_share)) for start, stop in places]
-    peak = [_peak(path, level[start:stop], sign, (start, stop), config) for start, stop in places]
+    rest = [float(np.quantile(level[start:stop], config.ends.rest_share)) for start, stop in stretches]
+    peak = [_peak(path, level[start:stop], sign, (start, stop), config) for start, stop in stretches]
     return Ends(np.array(rest), np.array(peak))
 
 
-def _peak(path: LevelPath | None, level: Array, sign: float, place: tuple[int, int], config: MapConfig) -> float:
-    part = None if path is None else path.within(*place)
+def _peak(path: LevelPath | None, level: Array, sign: float, rows: tuple[int, int], config: MapConfig) -> float:
+    part = None if path is None else path.within(*rows)
     if part is None or not part.swings:
         return float(np.quantile(level, 1 - config.ends.rest_share))
     upper = np.array(config.ends.peak_shares)
@@ -171,5 +171,5 @@ def _patches(source: OutputRecording, target: OutputRecording, average: int, sig
 
 
 def _patch_ends(levels: list[Array], config: MapConfig) -> Ends:
-    ends = np.array([np.quantile(level, config.ends.reach) for level in levels])
+    ends = np.array([np.quantile(level, config.ends.quantile_range) for level in levels])
     return Ends(ends[:, 0], ends[:, 1])

@@ -30,8 +30,8 @@ def fit_monotone(problem: FitProblem) -> CurveMap:
         raise UnitRefused(reason("still", level=float(target[0]), unit=problem.target.output_unit))
     source = _quantiles(problem.source.unlabelled, problem.config)
     # Quantised outputs repeat; a curve has one value at each of them.
-    knots, place = np.unique(target, return_inverse=True)
-    means = np.bincount(place, source) / np.bincount(place)
+    knots, index = np.unique(target, return_inverse=True)
+    means = np.bincount(index, source) / np.bincount(index)
     # Equal quantiles rise already; this takes out rounding only, where isotonic regression would cost more.
     curve = CurveMap(knots, np.maximum.accumulate(means), MONOTONE)
     return continued(curve, float(np.ptp(source)), config)
@@ -79,10 +79,10 @@ def _quantiles(recording: OutputRecording, config: MapConfig) -> Array:
     # Chebyshev spacing: the ends, where rest and peak levels lie, are resolved best.
     spacing = (1 - np.cos(np.linspace(0, np.pi, config.curve.knots))) / 2
     end = config.ends.rest_share
-    return between_steps(recording.output, end + (1 - 2 * end) * spacing)
+    return interpolated_quantiles(recording.output, end + (1 - 2 * end) * spacing)
 
 
-def between_steps(samples: Array, shares: Array) -> Array:
+def interpolated_quantiles(samples: Array, shares: Array) -> Array:
     """Return quantiles of quantised samples, interpolated between neighbouring steps."""
     levels, counts = np.unique(samples, return_counts=True)
     middles = (np.cumsum(counts) - counts / 2) / len(samples)
@@ -101,7 +101,7 @@ def shape_distance(source: LabelledRecording, target: OutputRecording, config: M
     """
     match = match_ends(source, target, config)
     shares = np.linspace(*config.curve.shares, config.curve.knots)
-    mapped = match.offset + match.gain * between_steps(target.output, shares)
-    known = source.unlabelled.output
-    span = robust_range(known, config.crossing)
-    return float(np.mean(np.abs(between_steps(known, shares) - mapped))) / span
+    mapped = match.offset + match.gain * interpolated_quantiles(target.output, shares)
+    source_output = source.unlabelled.output
+    span = robust_range(source_output, config.crossing)
+    return float(np.mean(np.abs(interpolated_quantiles(source_output, shares) - mapped))) / span

@@ -119,13 +119,13 @@ def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, f
     everything, shapes = np.arange(pairs.count), 0
     if pairs.count >= config.blocks * TAPS:
         # Whole blocks of time are held out: neighbouring windows share samples, so single rows would be no test.
-        is_held = everything * config.blocks // pairs.count % config.every == 1
-        held, known = everything[is_held], everything[~is_held]
-        least = pairs.error(pairs.fit(known, 0), held)
+        is_held_out = everything * config.blocks // pairs.count % config.every == 1
+        held_out, training = everything[is_held_out], everything[~is_held_out]
+        min_error = pairs.error(pairs.fit(training, 0), held_out)
         for more, needed in config.shapes:
-            error = pairs.error(pairs.fit(known, more), held)
-            if error < needed * least:
-                shapes, least = more, error
+            error = pairs.error(pairs.fit(training, more), held_out)
+            if error < needed * min_error:
+                shapes, min_error = more, error
     fitted = pairs.fit(everything, shapes)
     span = robust_range(problem.source.unlabelled.output, problem.config.crossing)
     if isinstance(fitted, DynamicMap):
@@ -154,7 +154,7 @@ class _Pairs:
             level, unit = self._knots[0], problem.target.output_unit
             raise UnitRefused(reason("still.shared", level=float(level), unit=unit))
         self._start = _static_regression(target, source, self._knots, self.config.curve_stiffness)
-        self._bend = _bend(len(self._knots))
+        self._curvature = _curvature(len(self._knots))
 
     def error(self, unit_map: PairedMap, rows: Indices) -> float:
         """Return the root mean square difference of the estimates over some pairs, in standard deviations."""
@@ -168,7 +168,7 @@ class _Pairs:
         cost, damping, idle = self._cost(theta, rows, shapes), config.damping, 0
         for _ in range(40):
             hessian, descent = self._normal_equations(theta, rows, shapes)
-            tried_first = damping
+            first_damping = damping
             for _ in range(14):
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
                 trial = theta + np.linalg.solve(damped, descent)
@@ -182,7 +182,7 @@ class _Pairs:
                 break
             idle = idle + 1 if trial_cost > config.settled * cost else 0
             theta, cost = trial, trial_cost
-            damping = max(damping / (10 if damping == tried_first else 4), 1e-6)
+            damping = max(damping / (10 if damping == first_damping else 4), 1e-6)
             if idle == config.idle_steps:
                 break
         return self._map(theta, shapes)
@@ -202,8 +202,8 @@ class _Pairs:
         count, network = len(self._knots), self._network
         estimate, slope = network.gradient(resting(theta[:count]))
         # The estimate should be smooth along the curve, not the curve itself: that must follow every kink of f's input.
-        of_answer = self.config.stiffness**0.5 / network.reference_scale * self._bend
-        of_curve = self.config.curve_stiffness**0.5 / network.output_scale * self._bend
+        of_answer = self.config.stiffness**0.5 / network.reference_scale * self._curvature
+        of_curve = self.config.curve_stiffness**0.5 / network.output_scale * self._curvature
         of_mix = self.config.tether**0.5 * np.eye(shapes * shapes)
         moved = theta[count:] - np.eye(shapes).ravel()
         residual = np.concatenate([of_answer @ estimate, of_curve @ theta[:count], of_mix @ moved])
@@ -229,7 +229,7 @@ class _Pairs:
         return hessian, -gradient
 
 
-def _bend(count: int) -> Array:
+def _curvature(count: int) -> Array:
     """Return B with |B g|^2 the integral of the squared second derivative of g on `count` even places in 0 ... 1.
 
     A second difference over h is h^2 g'', and the integral is a sum times h: the factor is h^-1.5.
@@ -237,7 +237,7 @@ def _bend(count: int) -> Array:
     return np.asarray(np.diff(np.eye(count), 2, axis=0) * (count - 1) ** 1.5)
 
 
-def _place(samples: Array, knots: Array) -> tuple[Indices, Array]:
+def _locate(samples: Array, knots: Array) -> tuple[Indices, Array]:
     segment = np.clip(np.searchsorted(knots, samples) - 1, 0, len(knots) - 2)
     return segment.astype(np.int64), (samples - knots[segment]) / (knots[segment + 1] - knots[segment])
 
@@ -247,7 +247,7 @@ def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
 
     A sample between two knots moves with both, by its distance from the other (hat functions).
     """
-    segment, share = _place(target, knots)
+    segment, share = _locate(target, knots)
     row = np.broadcast_to(np.arange(len(target))[:, None] * len(knots), segment.shape)
     size = len(target) * len(knots)
     left = np.bincount((row + segment).ravel(), (per_sample * (1 - share)).ravel(), size)
@@ -257,12 +257,12 @@ def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
 
 def _static_regression(target: Array, source: Array, knots: Array, stiffness: float) -> Array:
     """Return values at the knots from a smooth monotone regression of mean window levels: where the descent starts."""
-    segment, share = _place(target.mean(axis=1), knots)
+    segment, share = _locate(target.mean(axis=1), knots)
     hats = np.zeros((len(target), len(knots)))
     hats[np.arange(len(target)), segment] = 1 - share
     hats[np.arange(len(target)), segment + 1] += share
-    bend = _bend(len(knots))
-    normal = hats.T @ hats / len(target) + stiffness * bend.T @ bend + 1e-9 * np.eye(len(knots))
+    curvature = _curvature(len(knots))
+    normal = hats.T @ hats / len(target) + stiffness * curvature.T @ curvature + 1e-9 * np.eye(len(knots))
     values = np.linalg.solve(normal, hats.T @ source.mean(axis=1) / len(target))
     return np.asarray(scipy.optimize.isotonic_regression(values).x)
 
@@ -280,17 +280,19 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
         raise UnitRefused(reason("no_position"))
     # Imported here: whoever applies a map does not wait for scipy.
     stage = config.stage_matched
-    known, asked = (stage_histories(r, r.stage_mm, stage) for r in (source, target) if r.stage_mm is not None)
+    source_histories, target_histories = (
+        stage_histories(r, r.stage_mm, stage) for r in (source, target) if r.stage_mm is not None
+    )
     travel_mm = float(np.ptp(target.stage_mm))
     # Twice as many as the fit reads: some of them find no partner.
-    rows = evenly(len(asked), 2 * config.pairs.pairs)
+    rows = evenly(len(target_histories), 2 * config.pairs.pairs)
     distance_mm, nearest = np.empty(len(rows)), np.empty(len(rows), np.int64)
-    seen = _seen_entries(target, stage)[rows]
+    lengths = _observed_entries(target, stage)[rows]
     # One tree for each length of known history: what lies before a gap must not be compared as if it were known.
-    for entries in np.unique(seen):
-        group = seen == entries
-        tree = scipy.spatial.cKDTree(known[:, :entries])
-        distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
+    for entries in np.unique(lengths):
+        group = lengths == entries
+        tree = scipy.spatial.cKDTree(source_histories[:, :entries])
+        distance_mm[group], nearest[group] = tree.query(target_histories[rows[group], :entries])
     # A share of the travel, so that one number serves strokes of 1 mm and of 20 mm.
     alike = distance_mm <= stage.near_share * travel_mm
     if travel_mm <= 0 or alike.sum() < MIN_WINDOWS:
@@ -301,11 +303,11 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
 def stage_histories(recording: OutputRecording, stage_mm: Array, config: StageMatchConfig) -> Array:
     """Return where the stage stood now and before each full window, weighted: (m, len(config.look_back)) in mm."""
     ago, weight = np.array(config.look_back).T
-    asked_s = recording.t_s[recording.window_rows][:, None] - ago / recording.sample_rate_Hz
-    return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * weight)
+    past_s = recording.t_s[recording.window_rows][:, None] - ago / recording.sample_rate_Hz
+    return np.asarray(np.interp(past_s, recording.t_s, stage_mm) * weight)
 
 
-def _seen_entries(recording: OutputRecording, config: StageMatchConfig) -> Indices:
+def _observed_entries(recording: OutputRecording, config: StageMatchConfig) -> Indices:
     """Return how many entries of each full window's history were recorded: what lies before a gap is not known.
 
     Before a recording begins the stage is taken to have stood where it begins.
@@ -316,5 +318,5 @@ def _seen_entries(recording: OutputRecording, config: StageMatchConfig) -> Indic
     begins_s = starts_s[np.searchsorted(starts_s, recording.t_s, side="right") - 1]
     ago_s = np.array(config.look_back)[:, 0] / recording.sample_rate_Hz
     # Half a sample of slack: times are kept in floating point.
-    is_seen = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz
-    return np.asarray(is_seen[recording.window_rows].sum(axis=1))
+    is_observed = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz
+    return np.asarray(is_observed[recording.window_rows].sum(axis=1))

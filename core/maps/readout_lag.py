@@ -51,17 +51,17 @@ def find_readout_lag(
         return None
     unit = _ranks(_at(target, time_s))
     prompt = _unexplained(_at(source, time_s), unit)
-    if _unexplained(_at(_slowed(source, config.least_s), time_s), unit) >= prompt:
+    if _unexplained(_at(_slowed(source, config.min_lag_s), time_s), unit) >= prompt:
         return None  # Nearly every unit ends here: what follows slower is met at least a little by the shortest lag.
     # A lag below the least is looked for, too, so that it is not taken for a longer one.
-    tried = config.least_s * 2.0 ** (np.arange(-4, 8) / 2)
-    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit) for lag_s in tried]
+    lags_s = config.min_lag_s * 2.0 ** (np.arange(-4, 8) / 2)
+    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit) for lag_s in lags_s]
     best = int(np.argmin(slow))
-    late = min(prompt, *(_unexplained(_at(source, time_s - lag_s), unit) for lag_s in tried))
+    late = min(prompt, *(_unexplained(_at(source, time_s - lag_s), unit) for lag_s in lags_s))
     explained = late / max(slow[best], 1e-12)
     is_alike = slow[best] <= 1 - maps.synchrony.min_rank_correlation
-    is_lag = is_alike and explained >= config.explained and tried[best] >= config.least_s
-    return ReadoutLag(float(tried[best]), float(explained), synchrony.is_synchronous) if is_lag else None
+    is_lag = is_alike and explained >= config.explained and lags_s[best] >= config.min_lag_s
+    return ReadoutLag(float(lags_s[best]), float(explained), synchrony.is_synchronous) if is_lag else None
 
 
 @lru_cache(maxsize=CACHED)
@@ -70,9 +70,9 @@ def _slowed(recording: OutputRecording, lag_s: float) -> OutputRecording:
 
     Every unit of a lot is compared with one and the same source.
     """
-    keep = np.exp(-1 / (recording.sample_rate_Hz * lag_s))
+    decay = np.exp(-1 / (recording.sample_rate_Hz * lag_s))
     # Beyond seven time constants a sample counts by less than a thousandth.
-    kernel = (1 - keep) * keep ** np.arange(int(np.ceil(7 * lag_s * recording.sample_rate_Hz)) + 1)
+    kernel = (1 - decay) * decay ** np.arange(int(np.ceil(7 * lag_s * recording.sample_rate_Hz)) + 1)
     first = float(recording.output[0])
     moved = np.convolve(recording.output - first, kernel)[: len(recording.output)]
     return replace(recording, output=first + moved)

@@ -75,17 +75,17 @@ def fit_lot(
             every.append(LotMember(FitProblem(source, network, target, anchors.get(target.serial), config)))
         except UnitRefused as error:
             refused[target.serial] = error.reason
-    left = {one.serial: one.known_better for one in every if one.known_better is not None}
-    open_, groups = {one.serial: one for one in every if one.serial not in left}, list[LoadGroup]()
+    excluded = {one.serial: one.exclusion_reason for one in every if one.exclusion_reason is not None}
+    open_, groups = {one.serial: one for one in every if one.serial not in excluded}, list[LoadGroup]()
     members = dict[str, LotUnit]()
-    for found in find_groups([one.problem.target for one in open_.values()], config):
-        for target, synchrony in found:
+    for matches in find_groups([one.problem.target for one in open_.values()], config):
+        for target, synchrony in matches:
             open_[target.serial].synchrony = synchrony
-        group = SharedLoad([open_[target.serial] for target, _ in found], config.shared_load, paired)
+        group = SharedLoad([open_[target.serial] for target, _ in matches], config.shared_load, paired)
         if group.reason is None:
             members |= group.fitted(len(groups))
         groups.append(group.summary)
-        left |= group.left
+        excluded |= group.excluded
     lone = reason("lot_fit.alone")
-    alone = {s.serial: LotUnit(s.alone, s.alone.unit_map, reason=left.get(s.serial, lone)) for s in every}
+    alone = {s.serial: LotUnit(s.alone, s.alone.unit_map, reason=excluded.get(s.serial, lone)) for s in every}
     return LotFit(tuple(groups), {s: members.get(s, alone[s]) for s in alone if s in paired}, refused)

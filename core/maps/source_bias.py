@@ -83,8 +83,8 @@ def compare_sources(groups: Mapping[str, Sequence[LoadGroup]], config: SharedLoa
 def _difference(groups: Sequence[LoadGroup], others: Sequence[LoadGroup]) -> tuple[float, float, float] | None:
     """Return mean, RMS and standard uncertainty of what one source reads beyond another; None without a common load."""
     for group, other in product(groups, others):
-        _, mine, theirs = np.intersect1d(group.t_s, other.t_s, return_indices=True)
-        if set(group.members) & set(other.members) and len(mine):
-            apart = group.load[mine] - other.load[theirs]
+        _, rows, other_rows = np.intersect1d(group.t_s, other.t_s, return_indices=True)
+        if set(group.members) & set(other.members) and len(rows):
+            apart = group.load[rows] - other.load[other_rows]
             return float(np.mean(apart)), rms(apart), float(np.hypot(group.shape_rmse, other.shape_rmse))
     return None

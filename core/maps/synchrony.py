@@ -51,21 +51,21 @@ def find_synchrony(source: OutputRecording, target: OutputRecording, config: Map
     alike: a line often runs one profile first and other loads after it. A long opening makes even the whole agree;
     then the stretch after the opening decides.
     """
-    whole = _compared(source, target, config.synchrony)
+    overall = _compared(source, target, config.synchrony)
     until_s = _opening_end(source, target, config)
     if until_s is None:
-        return whole
+        return overall
     opening = _compared(source, target, config.synchrony, until_s=until_s)
-    if not whole.is_synchronous:
-        return opening if opening.is_synchronous else whole
-    if opening.rank_correlation <= whole.rank_correlation:
-        return whole
+    if not overall.is_synchronous:
+        return opening if opening.is_synchronous else overall
+    if opening.rank_correlation <= overall.rank_correlation:
+        return overall
     after = _compared(source, target, config.synchrony, from_s=until_s + 2 * config.synchrony.settled_s)
     # NONE: too little follows to decide.
     if after is NONE or after.is_synchronous:
-        return whole
+        return overall
     parts = 1 - after.rank_correlation > config.synchrony.parted * (1 - opening.rank_correlation)
-    return opening if parts else whole
+    return opening if parts else overall
 
 
 def _compared(
@@ -81,11 +81,11 @@ def _compared(
     if len(time_s) < 2 * config.apart * min(config.scales) or is_other_rate:
         return NONE
     # What one recording missed the other must not show either: both are read at the same instants.
-    seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
-    if len(seen) < 2 * min(config.scales):
+    shared_s = time_s[_covered(source, time_s) & _covered(target, time_s)]
+    if len(shared_s) < 2 * min(config.scales):
         return NONE
     # Every unit of a lot is compared with one source, and mostly at the same instants: what was found is kept.
-    keys = [(each, time_s.tobytes(), seen.tobytes()) for each in (source, target)]
+    keys = [(each, time_s.tobytes(), shared_s.tobytes()) for each in (source, target)]
     a, b = (_ranks_at(*key) for key in keys)
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
@@ -96,9 +96,9 @@ def _compared(
         band, other = (_band_of(*key, scale, config.apart) for key in keys)
         looks.append(_detail(band, other, scale, rate_Hz, config))
     detail, sigma, lag = max(looks, key=lambda item: item[1])
-    stands_out = detail >= config.min_detail and sigma >= config.min_sigma
+    is_significant = detail >= config.min_detail and sigma >= config.min_sigma
     # A lag that does not stand out is chance. A wrong lag pairs foreign loads; no lag at worst pairs none.
-    lag = lag if stands_out else 0
+    lag = lag if is_significant else 0
     # Noise and spikes of a readout are no load: over a window they average out.
     a, b = (moving_mean(each, TAPS) for each in (a, np.roll(b, lag)))
     correlation = float(np.corrcoef(a, b)[0, 1])
@@ -116,15 +116,15 @@ class _Band:
 
 
 @lru_cache(maxsize=CACHED)
-def _ranks_at(recording: OutputRecording, time_s: bytes, seen: bytes) -> Array:
-    at, known = np.frombuffer(time_s), np.frombuffer(seen)
+def _ranks_at(recording: OutputRecording, time_s: bytes, shared_s: bytes) -> Array:
+    at, instants_s = np.frombuffer(time_s), np.frombuffer(shared_s)
     # Linear between samples: two recordings never share their instants exactly.
-    return ranks(np.interp(at, known, np.interp(known, recording.t_s, recording.output)))
+    return ranks(np.interp(at, instants_s, np.interp(instants_s, recording.t_s, recording.output)))
 
 
 @lru_cache(maxsize=4 * CACHED)
-def _band_of(recording: OutputRecording, time_s: bytes, seen: bytes, scale: int, apart: int) -> _Band:
-    values = _ranks_at(recording, time_s, seen)
+def _band_of(recording: OutputRecording, time_s: bytes, shared_s: bytes, scale: int, apart: int) -> _Band:
+    values = _ranks_at(recording, time_s, shared_s)
     slower, faster = moving_mean(values, apart * scale), moving_mean(values, scale)
     offset = (len(faster) - len(slower)) // 2
     band = faster[offset : offset + len(slower)] - slower
@@ -135,9 +135,9 @@ def _band_of(recording: OutputRecording, time_s: bytes, seen: bytes, scale: int,
 def ranks(values: Array) -> Array:
     """Return the rank of each value, from 1 on; equal values share the mean of theirs."""
     # `scipy.stats` gives the same and takes a second to load.
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    _, index, count = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(count)
-    shared: Array = (last - (count - 1) / 2)[place]
+    shared: Array = (last - (count - 1) / 2)[index]
     return shared
 
 
@@ -155,39 +155,39 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
     span, settled = robust_range(source.output, maps.crossing), round(config.settled_s * rate_Hz)
     # A swing of an opening spans a fifth of the source's range at least; a tenth finds the same openings.
     turns = turning_points(a, 0.2 * span)
-    if len(turns) <= config.least_swings:
+    if len(turns) <= config.min_swings:
         return None
-    first = known = int(turns[config.least_swings])
+    first = length = int(turns[config.min_swings])
     # The curve of a longer opening differs from that of a shorter one, so its end is sought again until it stays.
     for _ in range(20):
-        off = np.abs(moving_mean(_off_curve(a, b, known), settled)) / span
+        off = np.abs(moving_mean(_off_curve(a, b, length), settled)) / span
         # What the opening itself leaves of the curve (noise, hysteresis) is no sign of its end. Not the maximum: one
         # outlier inside must not let foreign loads in.
-        shown = float(np.quantile(off[: max(known - settled, 1)], config.shown_share))
-        allowed = max(config.same_curve, config.off_curve * shown)
-        left = np.flatnonzero(off[first:] > allowed)
-        end = first + int(left[0]) if len(left) else len(a)
-        if end == known:
+        scatter = float(np.quantile(off[: max(length - settled, 1)], config.opening_quantile))
+        allowed = max(config.same_curve, config.off_curve * scatter)
+        beyond = np.flatnonzero(off[first:] > allowed)
+        end = first + int(beyond[0]) if len(beyond) else len(a)
+        if end == length:
             break
-        known = end
+        length = end
     # The loads part before the outputs do: averages and hysteresis still hold the old ones.
-    end = known - round(2 * config.settled_s * rate_Hz)
+    end = length - round(2 * config.settled_s * rate_Hz)
     if end < first or robust_range(a[:end], maps.crossing) < config.covered_share * span:
         return None
     return float(time_s[end])
 
 
-def _off_curve(source: Array, target: Array, known: int) -> Array:
-    """Return how far the outputs lie from the monotone curve that is nearest to the first `known` of them.
+def _off_curve(source: Array, target: Array, count: int) -> Array:
+    """Return how far the outputs lie from the monotone curve that is nearest to the first `count` of them.
 
     Outputs beyond those the curve was fitted to cannot be judged: 0.
     """
-    seen, onto = target[:known], source[:known]
-    order = np.argsort(seen, kind="stable")
-    is_rising = bool(np.corrcoef(seen, onto)[0, 1] >= 0) if np.ptp(seen) > 0 else True
+    fitted, onto = target[:count], source[:count]
+    order = np.argsort(fitted, kind="stable")
+    is_rising = bool(np.corrcoef(fitted, onto)[0, 1] >= 0) if np.ptp(fitted) > 0 else True
     curve = scipy.optimize.isotonic_regression(onto[order], increasing=is_rising).x
-    is_judged = (target >= seen.min()) & (target <= seen.max())
-    return np.where(is_judged, source - np.interp(target, seen[order], curve), 0.0)
+    is_within = (target >= fitted.min()) & (target <= fitted.max())
+    return np.where(is_within, source - np.interp(target, fitted[order], curve), 0.0)
 
 
 def paired_rows(source: OutputRecording, target: OutputRecording, synchrony: Synchrony) -> tuple[Indices, Indices]:
@@ -232,11 +232,11 @@ def _detail(x: _Band, y: _Band, scale: int, rate_Hz: float, config: SynchronyCon
     spectrum = x.spectrum * np.conj(y.spectrum)
     # All lags at once by the correlation theorem; its ends wrap around, which is why only a quarter is searched.
     every = np.fft.irfft(spectrum, x.length) / (x.spread * y.spread * x.length + 1e-300)
-    reach = min(x.length // 4, round(LONGEST_LAG_s * rate_Hz))
-    near = np.concatenate([every[: reach + 1], every[-reach:]])
+    max_shift = min(x.length // 4, round(LONGEST_LAG_s * rate_Hz))
+    near = np.concatenate([every[: max_shift + 1], every[-max_shift:]])
     # Slow loads leave the peak flat: without a clear gain the clocks are taken as equal.
     best = 0 if near[0] >= 0.9 * near.max() else int(np.argmax(near))
-    lag = best if best <= reach else best - len(near)
+    lag = best if best <= max_shift else best - len(near)
     # Unrelated lags say what chance alone gives on this very recording: no assumption on its noise is needed.
     edge = config.apart * scale
     far = every[edge:-edge] if len(every) > 4 * edge else every

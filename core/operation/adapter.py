@@ -35,7 +35,7 @@ class HoldReason:
     """What has been in doubt for too long."""
 
     batches: int = 0
-    why: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,8 @@ class Adapter(StreamEstimator):
             gain, offset = self._current.gain, self._current.offset
         observation = self._last = last or self._last
         verdict, reason = observation.verdict, observation.reason
-        if self._hold_reason.why and verdict == FOLLOWED:
-            verdict, reason = HELD, self._hold_reason.why
+        if self._hold_reason.reason and verdict == FOLLOWED:
+            verdict, reason = HELD, self._hold_reason.reason
         # Not even a cycle was seen: that must not read as if nothing had drifted.
         if verdict == START and self._is_watched and self._tracker.is_learning:
             verdict, reason = UNWATCHED, NOT_WATCHED
@@ -170,9 +170,9 @@ class Adapter(StreamEstimator):
         batches = before.batches + 1 if ratio > config.alarm_ratio else 0
         is_due = batches * self._method.stream.batch > self._method.activity.min_cycles * self._operation.cycle_samples
         # Two thresholds: what hovers about one would call and take back the alarm again and again.
-        if not is_due and not (before.why and ratio > (1 + config.alarm_ratio) / 2):
+        if not is_due and not (before.reason and ratio > (1 + config.alarm_ratio) / 2):
             return HoldReason(batches)
-        return HoldReason(batches, before.why or with_remedy(max(squares, key=squares.__getitem__)))
+        return HoldReason(batches, before.reason or with_remedy(max(squares, key=squares.__getitem__)))
 
     def reconnect(self, row: int = 0) -> None:
         super().reconnect(row)

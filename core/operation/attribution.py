@@ -29,7 +29,8 @@ class DriftAttribution:
         proven_share: share of the gain that was sure when the sensor was last re-seated. A re-seating makes the value
             of the gain doubtful, not its existence.
         log_gain_before, applied_before: log gain estimated and applied before the latest re-seating.
-        step, cycles_left: how far that moved the rest, and cycles left in which the gain that came with it is found.
+        step, remaining_cycles: how far that moved the rest, and cycles left in which the gain that came with it is
+            estimated.
     """
 
     zero: float | None
@@ -43,7 +44,7 @@ class DriftAttribution:
     log_gain_before: float = 0.0
     applied_before: float = 0.0
     step: float = 0.0
-    cycles_left: int = 0
+    remaining_cycles: int = 0
     config: AttributionConfig = not_stored(AttributionConfig())
 
     def after_reseating(self, drift: Array, covariance: Array, step: float, cycles: int) -> "DriftAttribution":
@@ -61,14 +62,16 @@ class DriftAttribution:
             log_gain_before=float(drift[1]),
             applied_before=applied,
             step=abs(step),
-            cycles_left=cycles,
+            remaining_cycles=cycles,
         )
 
     def _with_seated_gain(self, log_gain: float) -> "DriftAttribution":
         """Return what is known once the gain that came with a re-seating is found."""
-        if not self.cycles_left:
+        if not self.remaining_cycles:
             return self
-        return replace(self, seated_gain=self.seated_gain + log_gain - self.applied_before, step=0.0, cycles_left=0)
+        return replace(
+            self, seated_gain=self.seated_gain + log_gain - self.applied_before, step=0.0, remaining_cycles=0
+        )
 
     def after_cycle(self, activity: Activity, drift: Array, covariance: Array, weight: float) -> "DriftAttribution":
         """Return what is known after a cycle of an activity showed a drift, (2,) with (2, 2) covariance.
@@ -80,10 +83,10 @@ class DriftAttribution:
         if activity.has_rest or activity.is_imposed:
             state = replace(state, rest=activity.rest, pivots=activity.pivots)
         # The gain of a re-seating is what the filter has found when the last of its cycles is in.
-        if self.cycles_left == 1:
+        if self.remaining_cycles == 1:
             state = state._with_seated_gain(float(state.applied_drift(drift, covariance)[1]))
-        elif self.cycles_left:
-            state = replace(state, cycles_left=self.cycles_left - 1)
+        elif self.remaining_cycles:
+            state = replace(state, remaining_cycles=self.remaining_cycles - 1)
         fixed_level = state.fixed_level(drift)
         if fixed_level is None:
             return state
@@ -147,7 +150,7 @@ class DriftAttribution:
             return np.zeros(2)
         max_log_gain = self.gain_per_shift(level) * self.rest_path
         bounded_gain = float(np.clip(log_gain, self.seated_gain - max_log_gain, self.seated_gain + max_log_gain))
-        if self.cycles_left:
+        if self.remaining_cycles:
             # The log gain applied before the re-seating and what came with it, which its step vouches for.
             reseating_gain = self._soft_threshold(float(drift[1]) - self.log_gain_before, covariance)
             max_log_gain = self.gain_per_shift(level) * self.step

@@ -17,7 +17,7 @@ from softcal.core.operation.attribution import movement
 from softcal.core.operation.cycles import Cycle, end_spread
 from softcal.core.operation.drift_filter import DriftFilter
 from softcal.core.operation.method import DriftTracking
-from softcal.core.operation.observation import HELD, JUMPED, PRELOAD_GONE, REST_MOVED, TRIED, USE_CHANGED, TrackerState
+from softcal.core.operation.observation import HELD, JUMPED, PRELOAD_FELL, REST_MOVED, TRIED, USE_CHANGED, TrackerState
 from softcal.core.recording import Array
 
 
@@ -105,7 +105,7 @@ class ChangeDetector:
                 now.rest_offset = max(now.rest_offset, math.sqrt(0.5) * abs(rest_step))
             if len(now.jumps) == max_cycles and self._learn(now, now.jumps):
                 now.jumps.clear()
-            return JumpReaction(HELD, USE_CHANGED if is_rest_fixed else PRELOAD_GONE)
+            return JumpReaction(HELD, USE_CHANGED if is_rest_fixed else PRELOAD_FELL)
         before, after = drift[0], drift[0] + rest_step
         is_far = abs(rest_step) > config.max_jump[0] and abs(after) >= abs(before)
         if is_far or abs(after) > self._method.drift.max_drift[0]:

@@ -14,7 +14,7 @@ from softcal.core.recording import Array
 FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped", "unwatched"
 REST_MOVED = "the rest moved at once; the next cycles decide what it is"
 USE_CHANGED = "the rest is where it was: the use changed, not the sensor"
-PRELOAD_GONE = "the rest came nearer to zero load: less preload, or a sensor that moved"
+PRELOAD_FELL = "the rest came nearer to zero load: less preload, or a sensor that moved"
 USE_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
 PRELOADED = "not watched: this use never comes to zero load; a preload that changes is taken for drift"
 QUEUE_DIFFERS = "not watched: queues of this length differ too much by chance to show a drift; a longer queue is needed"

@@ -20,7 +20,7 @@ from softcal.core.operation.observation import FOLLOWED, HELD, UNWATCHED
 from softcal.core.operation.stored_state import from_state
 from softcal.core.operation.stream_windows import WRONG_RATE, BatchWindows, WindowBuffer
 from softcal.core.recording import Array, Mask, OutputRecording
-from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, check_fits, judge
+from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, check_fits, evaluate_windows
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import NORMAL_90
 
@@ -156,7 +156,9 @@ class StreamEstimator(ABC):
             piece, rows = slice(start, stop), slice(first, first + stop - start)
             windows = self._window_buffer.add_rows(t_s[piece], output[piece], first)
             mapped, newest = self._mapped(windows.windows), windows.windows[:, -1]
-            estimate, low, high, value_flag = judge(self._network, self._calibration, mapped, newest, windows.run)
+            estimate, low, high, value_flag = evaluate_windows(
+                self._network, self._calibration, mapped, newest, windows.run
+            )
             # Rows without a full window went through the network with the others; their numbers mean nothing.
             value[piece] = np.where(windows.is_full, estimate, np.nan)[rows]
             # Independent errors add in squares: those of the calibration's interval and of the drift.

@@ -271,13 +271,13 @@ class DriftTracker:
     def _compare_unknown(self, cycle: Cycle) -> Observation:
         now = self._now
         now.jumps.clear()
-        followed_known, now.was_recognised, now.unexplained_jump = now.was_recognised, False, 0.0
+        followed_recognised, now.was_recognised, now.unexplained_jump = now.was_recognised, False, 0.0
         # A shift that may have come in use nobody compared is in doubt for every use that is learnt from it. A gain is
         # not: the next cycle within reach, of a larger or a smaller use, would be taken for one.
         unobserved = self._method.drift.unobserved**2 * cycle.duration_s / self._operation.duration_s
         now.filter = now.filter.predict(np.diag([unobserved, 0.0]))
         # A sensor re-seated in the midst of a cycle gives it another shape.
-        if followed_known and self._detector.is_like_but_for_shape(now, cycle, now.latest):
+        if followed_recognised and self._detector.is_like_but_for_shape(now, cycle, now.latest):
             if self._detector.try_rest(now, cycle, now.latest):
                 now.unexplained_jump = abs(now.trial_shift)
                 return self._observation(cycle.end_s, TRIED, REST_MOVED, -1)

@@ -105,12 +105,12 @@ def _centre_and_sigma(values: Array) -> tuple[float, float]:
 
 def _without_far(values: Array) -> Array:
     """Return the values without the few that are far out; all of them where they are more than a few."""
-    near, count, least = values, 0, max(FEWEST, (1 - MAX_FAR_SHARE) * len(values))
-    while count != len(near) >= least:
+    near, count, min_count = values, 0, max(FEWEST, (1 - MAX_FAR_SHARE) * len(values))
+    while count != len(near) >= min_count:
         count = len(near)
         centre, sigma = _centre_and_sigma(near)
         near = near[np.abs(near - centre) <= FAR * sigma]
-    return near if len(near) >= least else values
+    return near if len(near) >= min_count else values
 
 
 @dataclass(frozen=True)

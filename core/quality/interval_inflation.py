@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import pooled_scale
 from softcal.core.recording import Array
 from softcal.core.unit.method import ReleaseConfig
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 
 CLOSE = 1e-3
 """The added error is found to this share of itself."""
@@ -28,13 +28,15 @@ class AuditedSamples:
     residual: Array
     half: Array
 
-    def ratio(self, inflation: Widening) -> Array:
+    def ratio(self, inflation: IntervalInflation) -> Array:
         """Return |residual| over the half-width, widened: (n,)."""
         return np.asarray(self.residual / np.maximum(inflation(self.half), 1e-12))
 
 
-def fit_interval_inflation(audits: Iterable[AuditedSamples], coverage: float, config: ReleaseConfig) -> Widening:
-    """Return the widening that serves the samples on average and the units one by one.
+def fit_interval_inflation(
+    audits: Iterable[AuditedSamples], coverage: float, config: ReleaseConfig
+) -> IntervalInflation:
+    """Return the inflation that serves the samples on average and the units one by one.
 
     The factor is what the median unit asks for where that is less than 1. The added error is the smallest that
     does two things. It covers the audited units' samples to `coverage`, each unit weighing the same: the pooled version
@@ -51,22 +53,22 @@ def fit_interval_inflation(audits: Iterable[AuditedSamples], coverage: float, co
     units = list(islice(audits, config.max_audits))
     if not units:
         raise InputError("no audited unit: to widen intervals takes one at least")
-    median = float(np.median([np.quantile(unit.ratio(Widening()), coverage) for unit in units]))
+    median = float(np.median([np.quantile(unit.ratio(IntervalInflation()), coverage) for unit in units]))
     scale, step = min(1.0, median), max(float(np.median(unit.residual)) for unit in units) or CLOSE
-    if _required_factor(units, Widening(scale), coverage, config) <= 1:
-        return Widening(scale)
+    if _required_factor(units, IntervalInflation(scale), coverage, config) <= 1:
+        return IntervalInflation(scale)
     low, high = 0.0, step
-    while _required_factor(units, Widening(scale, high), coverage, config) > 1:
+    while _required_factor(units, IntervalInflation(scale, high), coverage, config) > 1:
         low, high = high, 2 * high
     while high - low > CLOSE * high:
         middle = (low + high) / 2
-        is_enough = _required_factor(units, Widening(scale, middle), coverage, config) <= 1
+        is_enough = _required_factor(units, IntervalInflation(scale, middle), coverage, config) <= 1
         low, high = (low, middle) if is_enough else (middle, high)
-    return Widening(scale, high)
+    return IntervalInflation(scale, high)
 
 
 def _required_factor(
-    units: Sequence[AuditedSamples], inflation: Widening, coverage: float, config: ReleaseConfig
+    units: Sequence[AuditedSamples], inflation: IntervalInflation, coverage: float, config: ReleaseConfig
 ) -> float:
     """Return the factor that the widened intervals would still need."""
     ratios = [unit.ratio(inflation) for unit in units]

@@ -1,4 +1,4 @@
-"""The decision on the units of a lot that nobody measured: qualification, bound, a judgement a unit, one statement."""
+"""The decision on the units of a lot that nobody measured: qualification, bound, unit assessments, one statement."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,9 +11,9 @@ from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, ReleaseDecision, release
 from softcal.core.quality.sittings import SampledUnits, sampled_units
 from softcal.core.unit.adjustments import SampleRelease
-from softcal.core.unit.line_spread import SeenGains
+from softcal.core.unit.line_spread import EstimatedGains
 from softcal.core.unit.method import ReleaseConfig
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.core.unit.verdict import Limit
 
 
@@ -23,8 +23,8 @@ class LotRelease:
 
     Args:
         decision: which of them are released; None without a qualification.
-        seen: gains that audited units of this lot read their loads with; None where too few were audited.
-        days: by serial, the error that another day adds as golden runs show it; empty without them.
+        gains: gains that audited units of this lot read their loads with; None where too few were audited.
+        day_errors: by serial, the error that another day adds as golden runs show it; empty without them.
         corrected_by: number of audited units behind the correction of the lot's maps; 0 where there is none.
         sampled: for which units the audits speak, where units of one sitting share an error.
     """
@@ -34,10 +34,10 @@ class LotRelease:
     config: ReleaseConfig
     forecasts: Mapping[str, float]
     decision: ReleaseDecision | None
-    widening: Widening
-    seen: SeenGains | None = None
-    days: Mapping[str, float] = field(default_factory=dict)
-    doubts: Mapping[str, Reason] = field(default_factory=dict)
+    interval_inflation: IntervalInflation
+    gains: EstimatedGains | None = None
+    day_errors: Mapping[str, float] = field(default_factory=dict)
+    suspects: Mapping[str, Reason] = field(default_factory=dict)
     corrected_by: int = 0
     sampled: SampledUnits | None = None
 
@@ -60,16 +60,16 @@ class LotRelease:
     def statement(self) -> Reason:
         """The promise, or why there is none, and what the audits show beside it."""
         parts, unit = [self._criterion_statement()], self.limit.unit
-        if self.seen is not None:
-            parts.append(reason("release.gains", centre=self.seen.centre, spread=self.seen.spread))
+        if self.gains is not None:
+            parts.append(reason("release.gains", centre=self.gains.centre, spread=self.gains.spread))
         if self.sampled is not None and self.sampled.reason is not None:
             parts.append(self.sampled.reason)
-        if self.days:
-            parts.append(reason("release.days", day=max(self.days.values()), unit=unit))
+        if self.day_errors:
+            parts.append(reason("release.days", day=max(self.day_errors.values()), unit=unit))
         if self.corrected_by:
             parts.append(reason("release.common", audits=self.corrected_by))
-        if self.doubts:
-            parts.append(reason("release.doubts", serials=", ".join(self.doubts)))
+        if self.suspects:
+            parts.append(reason("release.doubts", serials=", ".join(self.suspects)))
         return several(parts)
 
     def _criterion_statement(self) -> Reason:
@@ -109,7 +109,7 @@ class LotRelease:
         """
         if self.decision is None or serial not in self.forecasts:
             return None
-        return self._sample_release(number, self.decision, serial in self.released, self.days.get(serial, 0.0))
+        return self._sample_release(number, self.decision, serial in self.released, self.day_errors.get(serial, 0.0))
 
     def next_unit(self, number: int) -> SampleRelease | None:
         """Return what this decision says of a unit that is to come; None where nothing is released on it."""
@@ -128,7 +128,7 @@ class LotRelease:
             is_released=is_released,
             scale=self.forecast_scale,
             factor=decision.factor if np.isfinite(decision.factor) else None,
-            widening=self.widening,
+            interval_inflation=self.interval_inflation,
             day_rmse=day_rmse,
             audits=self._audits(decision),
             risk=self.config.risk,
@@ -162,13 +162,13 @@ class LotRelease:
             "ratios": ratios,
             "share_any_form": None if decision is None else decision.share_any_form,
             "risk_any_form": None if decision is None else decision.risk_any_form,
-            "interval_scale": self.widening.scale,
-            "interval_added": self.widening.added,
-            "gains": None if self.seen is None else vars(self.seen),
-            "day_rmse": max(self.days.values(), default=None),
+            "interval_scale": self.interval_inflation.scale,
+            "interval_added": self.interval_inflation.added,
+            "gains": None if self.gains is None else vars(self.gains),
+            "day_rmse": max(self.day_errors.values(), default=None),
             "limit": self.limit.to_json(),
             "corrected_by": self.corrected_by,
-            "set_aside": {serial: str(cause) for serial, cause in self.doubts.items()},
+            "set_aside": {serial: str(cause) for serial, cause in self.suspects.items()},
         }
 
 
@@ -177,10 +177,10 @@ def release_lot(
     qualification: Qualification,
     limit: Limit,
     config: ReleaseConfig,
-    widening: Widening = Widening(),  # noqa: B008 - frozen
+    inflation: IntervalInflation = IntervalInflation(),  # noqa: B008 - frozen
     min_count: float = 0.0,
-    gains: SeenGains | None = None,
-    days: Mapping[str, float] | None = None,
+    gains: EstimatedGains | None = None,
+    day_errors: Mapping[str, float] | None = None,
     suspects: Mapping[str, Reason] | None = None,
     corrected_by: int = 0,
     sittings: Mapping[str, str] | None = None,
@@ -191,7 +191,7 @@ def release_lot(
     Args:
         forecasts: forecast RMSE by serial of the units no finding stands against.
         min_count: number of units that must pass, or none is released.
-        days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
+        day_errors: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
         sittings: by serial, of the units that share an error with those of their sitting.
         candidates: serials that may be released; None for all.
     """
@@ -200,10 +200,12 @@ def release_lot(
     )
     forecasts = {serial: rmse for serial, rmse in forecasts.items() if serial in sampled.serials}
     may_release = qualification.is_given and limit.is_stated
-    decided = release(forecasts, sampled.audits, limit, config, min_count, days, candidates) if may_release else None
-    days, suspects = days or {}, suspects or {}
+    decided = (
+        release(forecasts, sampled.audits, limit, config, min_count, day_errors, candidates) if may_release else None
+    )
+    day_errors, suspects = day_errors or {}, suspects or {}
     return LotRelease(
-        qualification, limit, config, forecasts, decided, widening, gains, days, suspects, corrected_by, sampled
+        qualification, limit, config, forecasts, decided, inflation, gains, day_errors, suspects, corrected_by, sampled
     )
 
 

@@ -76,7 +76,7 @@ class Ratios:
         """
         if self.audits < config.min_audits or (self.lots > 1 and self.lots < config.min_lots):
             return float("inf")
-        confidence = 1 - (1 - config.confidence) / config.reserve
+        confidence = 1 - (1 - config.confidence) / config.confidence_margin
         factor = tolerance_factor(self.count, self.degrees, config.risk if risk is None else risk, confidence)
         return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, config.min_spread))))
 
@@ -142,7 +142,7 @@ def release(
     limit: Limit,
     config: ReleaseConfig,
     min_count: float = 0.0,
-    days: Mapping[str, float] | None = None,
+    day_errors: Mapping[str, float] | None = None,
     candidates: Collection[str] | None = None,
 ) -> ReleaseDecision:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
@@ -164,10 +164,11 @@ def release(
         if not 0 < rmse < float("inf"):
             raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be released")
     ratios, considered = audited_ratios(audits, config), len(forecasts)
-    days = days or {}
+    day_errors = day_errors or {}
     # What is left of the limit once another day has taken its part; without golden runs the limit itself.
     limits = {
-        serial: float(np.sqrt(max(limit.acceptance_rmse**2 - days.get(serial, 0.0) ** 2, 0.0))) for serial in forecasts
+        serial: float(np.sqrt(max(limit.acceptance_rmse**2 - day_errors.get(serial, 0.0) ** 2, 0.0)))
+        for serial in forecasts
     }
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
     chosen = forecasts if candidates is None else forecasts.keys() & candidates

@@ -8,8 +8,8 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.messages.reason import Reason, Value, reason
 from softcal.core.recording import Array
 from softcal.core.unit.output_level import LoadLine
-from softcal.core.unit.uncertainty import Interval, Widening
-from softcal.core.unit.verdict import Judgement, Limit, Verdict
+from softcal.core.unit.uncertainty import Interval, IntervalInflation
+from softcal.core.unit.verdict import Assessment, Limit, Verdict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class SampleRelease:
         is_released: whether this unit is among the released ones.
         scale: mean of measured over forecast error of the audited units.
         factor: largest ratio reckoned with; None where it has no bound.
-        widening: what becomes of the unit's 90 % intervals.
+        interval_inflation: what becomes of the unit's 90 % intervals.
         day_rmse: error that another day adds to this unit, as golden runs show it.
         audits: which audits it rests on.
         risk, confidence: of the promise.
@@ -110,7 +110,7 @@ class SampleRelease:
     is_released: bool
     scale: float
     factor: float | None
-    widening: Widening
+    interval_inflation: IntervalInflation
     day_rmse: float
     audits: Reason
     risk: float
@@ -118,11 +118,11 @@ class SampleRelease:
     sitting: str = ""
     withdrawn: Reason | None = None
 
-    def judgement(self, rmse: float, limit: Limit) -> Judgement:
+    def assess(self, rmse: float, limit: Limit) -> Assessment:
         """Return what the statement says of a unit with this forecast RMSE."""
         if self.withdrawn is not None:
-            word = Verdict.FAIL if rmse > limit.maximum_rmse else Verdict.CONDITIONAL
-            return Judgement(word, (reason("not_qualified", why=self.withdrawn),))
+            verdict = Verdict.FAIL if rmse > limit.maximum_rmse else Verdict.CONDITIONAL
+            return Assessment(verdict, (reason("not_qualified", why=self.withdrawn),))
         inputs: dict[str, Value] = {
             "rmse": rmse,
             "limit": limit.maximum_rmse,
@@ -132,12 +132,12 @@ class SampleRelease:
         factor = float("inf") if self.factor is None else self.factor
         if self.is_released:
             risks: dict[str, Value] = {"risk": self.risk, "confidence": self.confidence}
-            return Judgement(Verdict.PASS, (reason("sampled.released", factor=factor, **inputs, **risks),))
+            return Assessment(Verdict.PASS, (reason("sampled.released", factor=factor, **inputs, **risks),))
         if rmse * self.scale > limit.maximum_rmse:
-            return Judgement(Verdict.FAIL, (reason("sampled.beyond", centre=self.scale, **inputs),))
+            return Assessment(Verdict.FAIL, (reason("sampled.beyond", centre=self.scale, **inputs),))
         if rmse * factor > limit.acceptance_rmse:
-            return Judgement(Verdict.CONDITIONAL, (reason("sampled.open", factor=factor, **inputs),))
+            return Assessment(Verdict.CONDITIONAL, (reason("sampled.open", factor=factor, **inputs),))
         if float(np.hypot(rmse * factor, self.day_rmse)) > limit.acceptance_rmse:
-            said = reason("sampled.day", factor=factor, day=self.day_rmse, **inputs)
-            return Judgement(Verdict.CONDITIONAL, (said,))
-        return Judgement(Verdict.CONDITIONAL, (reason("sampled.part", centre=self.scale, audits=self.audits),))
+            day_reason = reason("sampled.day", factor=factor, day=self.day_rmse, **inputs)
+            return Assessment(Verdict.CONDITIONAL, (day_reason,))
+        return Assessment(Verdict.CONDITIONAL, (reason("sampled.part", centre=self.scale, audits=self.audits),))

@@ -23,21 +23,21 @@ def measure(
     state: UnitState,
     audit: LabelledRecording,
     recording: OutputRecording,
-    own: NetworkConfig | MeasuredError | None = None,
+    own_calibration: NetworkConfig | MeasuredError | None = None,
 ) -> UnitState:
     """Return the state with an audit of its map in force.
 
     Args:
         recording: the one that the unit was calibrated from.
-        own: how a network of the unit's own is trained on the audit, for comparison; or the error of one that was; of
-            the audit that the state has already, the one that is known is kept.
+        own_calibration: how a network of the unit's own is trained on the audit, for comparison; or the error of one
+            that was. Of the audit that the state has already, the stored one stays.
     """
     before = state.audit
-    if own is None and before is not None and before.recording_sha256 == audit.sha256:
-        own = None if before.scores.own is None else before.scores.own.own
+    if own_calibration is None and before is not None and before.recording_sha256 == audit.sha256:
+        own_calibration = None if before.scores.own is None else before.scores.own.own
     method = state.fit.method
-    before_widening = replace(state, release=None)
-    value, half = _estimates(network, before_widening, audit)
+    uninflated = replace(state, release=None)
+    value, half = _estimates(network, uninflated, audit)
     fitted = replace(state, release=None, trim=None, correction=None)
     fitted_value = value if state.line_behind is None else _estimates(network, fitted, audit)[0]
     rows = np.flatnonzero(np.isfinite(value))
@@ -48,7 +48,7 @@ def measure(
         map_id=state.map_id,
         recording_sha256=audit.sha256,
         output_sha256=audit.output_sha256,
-        scores=score_map(network, state.unit_map, audit, method.decision, own),
+        scores=score_map(network, state.unit_map, audit, method.decision, own_calibration),
         line=load_line(value, audit.reference),
         fitted_line=load_line(fitted_value, audit.reference),
         unit_rest=unit.rest,

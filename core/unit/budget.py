@@ -10,13 +10,13 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
-from softcal.core.unit.knowledge import LoadKnowledge
+from softcal.core.unit.correspondence import Correspondence
 
 COVERAGE = 2.0
 """k of every expanded uncertainty that is stated: 95 % of a normal distribution."""
 
 
-class Standing(StrEnum):
+class Traceability(StrEnum):
     """What can be traced to a reference."""
 
     VALID = "valid"
@@ -79,22 +79,22 @@ class Reference:
             raise InputError(f"reference: due_on {self.due_on} is not after issued_on {self.issued_on}")
 
     @property
-    def standing(self) -> Standing:
+    def traceability(self) -> Traceability:
         if self.is_simulated:
-            return Standing.SIMULATED
+            return Traceability.SIMULATED
         if not self.certificate or self.uncertainty is None or self.due_on is None or self.used_on is None:
-            return Standing.MISSING
+            return Traceability.MISSING
         is_early = self.issued_on is not None and self.used_on < self.issued_on
-        return Standing.EXPIRED if is_early or self.used_on >= self.due_on else Standing.VALID
+        return Traceability.EXPIRED if is_early or self.used_on >= self.due_on else Traceability.VALID
 
-    def bars(self, highest: float) -> tuple[Reason, ...]:
+    def blocking_reasons(self, highest: float) -> tuple[Reason, ...]:
         """Return what keeps every unit of a lot from passing; `highest` is the largest value that was read for it.
 
         What nobody stated bars nothing: a named instrument without a certificate does.
         """
         if self.cell and not self.certificate:
             return (reason("reference_missing", cell=self.cell),)
-        if self.standing is Standing.EXPIRED:
+        if self.traceability is Traceability.EXPIRED:
             days = {name: str(getattr(self, name)) for name in ("issued_on", "due_on", "used_on")}
             return (reason("reference_expired", number=self.certificate, cell=self.cell or "?", **days),)
         if self.capacity is not None and highest > self.capacity:
@@ -192,15 +192,15 @@ class Budget:
 
 
 def forecast_budget(
-    terms: Mapping[str, float], knowledge: LoadKnowledge, rmse: float, reference: Reference | None, load: float
+    terms: Mapping[str, float], correspondence: Correspondence, rmse: float, reference: Reference | None, load: float
 ) -> Budget:
     """Return the budget at a load of a unit whose error was forecast: f, map and quantisation share it among them."""
     network = min(terms["model"], rmse)
-    step = knowledge.sensitivity.get("resolution", 0.0) * terms.get("resolution", 0.0)
+    step = correspondence.sensitivity.get("resolution", 0.0) * terms.get("resolution", 0.0)
     quantisation = min(step, float(np.sqrt(rmse**2 - network**2)))
     unit_map = float(np.sqrt(max(rmse**2 - network**2 - quantisation**2, 0.0)))
-    own = {"shared network f": network, "map": unit_map, "quantisation": quantisation}
-    return _budget(own, reference, load)
+    unit_terms = {"shared network f": network, "map": unit_map, "quantisation": quantisation}
+    return _budget(unit_terms, reference, load)
 
 
 def measured_budget(rmse: float, reference: Reference | None, load: float) -> Budget:
@@ -208,6 +208,8 @@ def measured_budget(rmse: float, reference: Reference | None, load: float) -> Bu
     return _budget({"f, map and quantisation, measured": rmse}, reference, load)
 
 
-def _budget(own: Mapping[str, float], reference: Reference | None, load: float) -> Budget:
-    known = () if reference is None else reference.contributions(load)
-    return Budget(load, (*known, *(Contribution(name, value, "normal") for name, value in own.items())))
+def _budget(unit_terms: Mapping[str, float], reference: Reference | None, load: float) -> Budget:
+    reference_terms = () if reference is None else reference.contributions(load)
+    return Budget(
+        load, (*reference_terms, *(Contribution(name, value, "normal") for name, value in unit_terms.items()))
+    )

@@ -43,7 +43,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     if on_map is not None:
         on_map()
     if audit is not None:
-        state = measure(network, state, audit, problem.recording, problem.own)
+        state = measure(network, state, audit, problem.recording, problem.own_calibration)
     return _with_rules(problem, state, estimates)
 
 
@@ -54,11 +54,11 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         UnitRefused: the recording allows no map at all.
     """
     model, target = problem.source, problem.recording
-    method, known = model.method, model.source.unlabelled
+    method, source_recording = model.method, model.source.unlabelled
     check_windows(target, method.inspection)
-    check_alive(target, known, method.health)
-    limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, method=method)
-    fit, bridge = problem.fit, problem.crossed
+    check_alive(target, source_recording, method.health)
+    limits = output_limits(target, source_recording, is_rising=model.interval.slope_limit > 0, method=method)
+    fit, correction = problem.fit, problem.applied_day_correction
     lot_map = problem.lot_map
     chosen = choose_map(fit) if lot_map is None else lot_map.chosen
     # How a unit was pressed is read across a few lost samples; no fit sees what stands for them.
@@ -68,18 +68,18 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         pressed,
         chosen.unit_map,
         limits,
-        other_maps(fit, chosen, method, floor=0.0 if bridge is None else bridge.floor),
+        other_maps(fit, chosen, method, reference_rmse=0.0 if correction is None else correction.reference_rmse),
         is_anchored=problem.anchors is not None,
         line=problem.line,
-        day_rmse=0.0 if bridge is None else bridge.day_rmse,
+        day_rmse=0.0 if correction is None else correction.day_rmse,
         lot_fit=None if lot_map is None else lot_map.part,
     )
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
     # What a logger did comes first: the rest may be a consequence.
     findings = missing_findings(target, method) + jump_findings(target, method.inspection)
     if all(finding.best.is_open for finding in findings):
-        findings += contradictions(known, target, limits, method, fit.synchrony) or (
-            *health_findings(target, known, limits, method.health),
+        findings += contradictions(source_recording, target, limits, method, fit.synchrony) or (
+            *health_findings(target, source_recording, limits, method.health),
             *map_findings(model, pressed, evidence, lag),
             *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
         )
@@ -93,12 +93,16 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         family=chosen.unit_map.family,
         map_sha256=map_sha256(chosen.unit_map),
         method=method,
-        knowledge=evidence.knowledge,
-        forecast=forecast_error(evidence.budget, evidence.knowledge),
+        correspondence=evidence.correspondence,
+        forecast=forecast_error(evidence.budget, evidence.correspondence),
         budget=evidence.budget,
         diagnostics=chosen.evidence,
         findings=findings,
-        remarks=(*problem.lot_fit_reasons(), *problem.bridge_reasons(), *problem.line_reasons(evidence.load_rms)),
+        remarks=(
+            *problem.lot_fit_reasons(),
+            *problem.day_correction_reasons(),
+            *problem.line_reasons(evidence.load_rms),
+        ),
         blocking_reasons=problem.blocking_reasons(),
         rules=problem.rules,
         reference=problem.reference,
@@ -131,20 +135,20 @@ def nearest(problems: Sequence[UnitProblem]) -> UnitProblem:
     most like.
 
     Args:
-        problems: the unit with each source, in the order of the lot; every one names the others in `beside`.
+        problems: the unit with each source, in the order of the lot; every one names the others in `other_networks`.
 
     Returns:
         The problem to calibrate; the first where no source allows a map, so that its reason is told.
     """
     ranked = []
-    for place, problem in enumerate(problems):
+    for index, problem in enumerate(problems):
         try:
             fit, _ = fit_unit(problem)
-            if fit.knowledge.is_placed:
-                ranked.append((0, fit.forecast.rmse, place))
+            if fit.correspondence.is_matched:
+                ranked.append((0, fit.forecast.rmse, index))
             else:
-                known, config = problem.source.source, problem.source.method.map
-                ranked.append((1, shape_distance(known, problem.recording, config), place))
+                source, config = problem.source.source, problem.source.method.map
+                ranked.append((1, shape_distance(source, problem.recording, config), index))
         except UnitRefused:
             continue
     return problems[min(ranked)[-1]] if ranked else problems[0]

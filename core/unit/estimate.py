@@ -80,7 +80,7 @@ def estimate(network: Network, calibration: UnitState, recording: OutputRecordin
     for rows, mapped in mapped_segments(calibration.unit_map, recording):
         output = recording.output[rows.start - TAPS + 1 : rows.stop]
         newest = slice(TAPS - 1, None)
-        value[rows], lower[rows], upper[rows], flag[rows] = judge(
+        value[rows], lower[rows], upper[rows], flag[rows] = evaluate_windows(
             network, calibration, mapped, output[newest], run_lengths(output)[newest]
         )
     return Estimate(recording.t_s, value, lower, upper, flag, network.reference_unit)
@@ -97,7 +97,7 @@ def check_fits(network: Network, calibration: UnitState, output_unit: str) -> No
         raise InputError(f"output is in {output_unit}, the calibration expects {network.output_unit}")
 
 
-def judge(
+def evaluate_windows(
     network: Network, calibration: UnitState, mapped: Array, newest: Array, run: Indices
 ) -> tuple[Array, Array, Array, Flags]:
     """Return estimate, lower, upper and flag of (n, TAPS) mapped windows.

@@ -20,8 +20,8 @@ from softcal.core.maps.paired import SHARED_LOAD, STAGE_MATCHED, SYNCHRONOUS, fi
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, LabelledRecording, Mask, OutputRecording
+from softcal.core.unit.correspondence import SHARED, Correspondence, find_correspondence
 from softcal.core.unit.health import OutputLimits, clipped_share
-from softcal.core.unit.knowledge import SHARED, LoadKnowledge, known_by
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.lot_fit_part import LotFitPart
 from softcal.core.unit.method import ForecastConfig, Method
@@ -46,10 +46,10 @@ class MapEvidence:
         overlap, unmapped_overlap: of the unit's loads and speeds with the source's, 0 to 1, with and without
             the map.
         speed: how fast the unit's fast movements are, over the source's.
-        budget: standard uncertainties in the reference unit: `model` and the terms of every kind of knowledge
-            (`knowledge.py`). `stage` and `slow` are there where source and unit carry the stage position, `line` where
-            the spread of the line was stated, `day` where a golden run measured its day, `shared` and `own_part` where
-            the lot was fitted together.
+        budget: standard uncertainties in the reference unit: `model` and the terms of every kind of correspondence
+            (`correspondence.py`). `stage` and `slow` are there where source and unit carry the stage position, `line`
+            where the spread of the line was stated, `day` where a golden run measured its day, `shared` and `own_part`
+            where the lot was fitted together.
     """
 
     rows: Indices
@@ -62,7 +62,7 @@ class MapEvidence:
     unmapped_overlap: float
     speed: float
     budget: Mapping[str, float]
-    knowledge: LoadKnowledge
+    correspondence: Correspondence
     rest: float
 
     @cached_property
@@ -85,14 +85,14 @@ class Trial:
         source: recording of the source unit that the unit was pressed together with.
         source_rows: (k,) of the source's windows.
         windows: (k, TAPS) of the unit, beside them.
-        floor: RMS error that the reference of these windows does not hold: that of f, where f itself read it.
+        reference_rmse: RMS error that the reference of these windows does not hold: that of f, where f itself read it.
     """
 
     unit_map: UnitMap
     source: LabelledRecording
     source_rows: Indices
     windows: Array
-    floor: float = 0.0
+    reference_rmse: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class OtherMaps:
         resampled: the same kind of map fitted to parts of the recording.
         trials: maps with paired windows to test them by, where source and unit were pressed together.
         gain_error: standard error of the logarithm of the map's gain, where it rests on matched levels.
-        straight: a map that was not bent to spend the unit's time as the source's; by default the unit's map. How the
+        linear_map: a map that was not bent to spend the unit's time as the source's; by default the unit's map. How the
             loads differ shows through it alone.
     """
 
@@ -112,29 +112,29 @@ class OtherMaps:
     resampled: Sequence[UnitMap] = ()
     trials: Sequence[Trial] = ()
     gain_error: float = 0.0
-    straight: UnitMap | None = None
+    linear_map: UnitMap | None = None
 
 
-def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float) -> OtherMaps:
-    """Return what the chosen map is tried by; `floor` is the RMS error of the reference beside paired windows."""
-    trials = _trials(fit, chosen, method.map.pairs.every, floor) if chosen.family == SYNCHRONOUS else []
+def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, reference_rmse: float) -> OtherMaps:
+    """Return what the chosen map is tried by; `reference_rmse` is the RMS error of the paired reference."""
+    trials = _trials(fit, chosen, method.map.pairs.every, reference_rmse) if chosen.family == SYNCHRONOUS else []
     # Where the stage position or a common load is known, that tells more than leaving shares out.
     is_measured = bool(trials) or chosen.family in (STAGE_MATCHED, SHARED_LOAD)
     gain_error = float(chosen.evidence.get("gain_error", 0.0))
     log_gain = float(np.log(float(chosen.evidence.get("gain", 1.0))))
     # A gain far from the source's is itself a doubt unless loads were given.
-    if "anchor_gain" not in chosen.evidence and abs(log_gain) > np.log(method.findings.said_stretch):
+    if "anchor_gain" not in chosen.evidence and abs(log_gain) > np.log(method.findings.reported_stretch):
         gain_error = float(np.hypot(gain_error, log_gain))
     return OtherMaps(
         alternatives=[other for name, other in chosen.alternatives.items() if name != IDENTITY],
         resampled=[] if is_measured else _refitted(fit, chosen, method),
         trials=trials,
         gain_error=gain_error,
-        straight=chosen.alternatives.get(TWO_POINT) if chosen.family in (AVERAGED, SHARED_LOAD) else None,
+        linear_map=chosen.alternatives.get(TWO_POINT) if chosen.family in (AVERAGED, SHARED_LOAD) else None,
     )
 
 
-def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, floor: float) -> list[Trial]:
+def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, reference_rmse: float) -> list[Trial]:
     """Return maps with the windows under one load at once to judge them by.
 
     An opening holds few presses, which the map has been bent to: there, each map has not seen the windows it is
@@ -142,12 +142,16 @@ def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, floor: float) -> lis
     """
     source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony)
     if not np.isfinite(fit.synchrony.until_s):
-        return [Trial(chosen.unit_map, fit.source, source_rows, fit.target.windows[target_rows], floor)]
+        return [Trial(chosen.unit_map, fit.source, source_rows, fit.target.windows[target_rows], reference_rmse)]
     part = np.arange(len(target_rows)) * parts // len(target_rows)
     trials = []
-    for held in (part == k for k in range(parts)):
-        unit_map = fit_pairs(fit, source_rows[~held], target_rows[~held], SYNCHRONOUS)
-        trials.append(Trial(unit_map, fit.source, source_rows[held], fit.target.windows[target_rows[held]], floor))
+    for held_out in (part == k for k in range(parts)):
+        unit_map = fit_pairs(fit, source_rows[~held_out], target_rows[~held_out], SYNCHRONOUS)
+        trials.append(
+            Trial(
+                unit_map, fit.source, source_rows[held_out], fit.target.windows[target_rows[held_out]], reference_rmse
+            )
+        )
     return trials
 
 
@@ -156,12 +160,12 @@ def _refitted(fit: FitProblem, chosen: ChosenMap, method: Method) -> list[UnitMa
     parts, target, refits = method.forecast.parts, fit.target, []
     # Each share is made of many stretches, so that what is left still covers the whole programme.
     # Bridged, a few lost samples move no stretch.
-    whole_s = target.bridged.t_s
-    length = max(len(whole_s) // (parts * method.forecast.stretches), TAPS)
-    part_of = np.searchsorted(whole_s, target.t_s) // length % parts
-    for is_used in (part_of != part for part in range(parts)):
-        stage_mm = None if target.stage_mm is None else target.stage_mm[is_used]
-        rest = replace(target, t_s=target.t_s[is_used], output=target.output[is_used], stage_mm=stage_mm)
+    all_s = target.bridged.t_s
+    length = max(len(all_s) // (parts * method.forecast.stretches), TAPS)
+    part_of = np.searchsorted(all_s, target.t_s) // length % parts
+    for is_included in (part_of != part for part in range(parts)):
+        stage_mm = None if target.stage_mm is None else target.stage_mm[is_included]
+        rest = replace(target, t_s=target.t_s[is_included], output=target.output[is_included], stage_mm=stage_mm)
         try:
             refits.append(fit_family(replace(fit, target=rest), chosen.family))
         except UnitRefused:
@@ -184,7 +188,12 @@ def gather_evidence(
 
     `day_rmse` is what the day of the recording changes, as a golden run showed it, in the reference unit.
     """
-    config, network, interval, known = model.method.forecast, model.network, model.interval, _known_use(model)
+    config, network, interval, operation = (
+        model.method.forecast,
+        model.network,
+        model.interval,
+        _source_operation(model),
+    )
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
     rows = evenly(len(target.windows), 2 * model.method.map.pairs.pairs)
     raw, mapped = target.windows[rows], _mapped(unit_map, target, rows)
@@ -193,14 +202,14 @@ def gather_evidence(
     by_others = {id(other): network.evaluate(_mapped(other, target, rows)) for other in others.alternatives}
     disagreement = _spread(estimate, list(by_others.values()))
     stability = _spread(estimate, [network.evaluate(_mapped(part, target, rows)) for part in others.resampled])
-    seen_load, seen_shape = estimate, shape
-    if (straight := others.straight) is not None:
-        unbent = _mapped(straight, target, rows)
-        seen_load = by_others[id(straight)] if id(straight) in by_others else network.evaluate(unbent)
-        seen_shape = interval.support.shape(unbent)
+    unbent_load, unbent_shape = estimate, shape
+    if (linear_map := others.linear_map) is not None:
+        unbent = _mapped(linear_map, target, rows)
+        unbent_load = by_others[id(linear_map)] if id(linear_map) in by_others else network.evaluate(unbent)
+        unbent_shape = interval.support.shape(unbent)
     rest, span = _rest_level(model, estimate), interval.high - interval.low
     load_rms = rms(estimate - rest)
-    overlap, speed = _use_overlap(known, seen_shape), _fast(shape, config) / known.fast
+    overlap, speed = _operation_overlap(operation, unbent_shape), _fast(shape, config) / operation.fast
     sharpness = _sharpness(shape, config)
     # A map is only as good as the agreement of those that could have been chosen instead (disagreement), and of the
     # same family on other parts of the recording (stability, a delete-a-group jackknife).
@@ -209,17 +218,17 @@ def gather_evidence(
         "disagreement": rms(disagreement),
         "stability": rms(stability),
         "support": interval.sensitivity * rms(distance),
-        "shift": rms(np.quantile(seen_load, known.shares) - known.loads),
+        "shift": rms(np.quantile(unbent_load, operation.shares) - operation.loads),
         # The scatter of estimates at rest beyond the source's own: drift, creep, a loose mount.
-        "rest": float(np.sqrt(max(_spread_at_rest(model, estimate, shape) ** 2 - known.rest_spread**2, 0.0))),
+        "rest": float(np.sqrt(max(_spread_at_rest(model, estimate, shape) ** 2 - operation.rest_spread**2, 0.0))),
         "resolution": _resolution(model, target, float(np.std(mapped) / np.std(raw))),
         # The load of a clipped sample is uniform over the upper part of the range.
         "clipping": float(np.sqrt(clipped_share(target.output, limits) / 12)) * span / config.clipped_part,
-        "extrapolation": rms(beyond(model.estimate, estimate, model.method.map.ends.reach)),
+        "extrapolation": rms(beyond(model.estimate, estimate, model.method.map.ends.quantile_range)),
         "overlap": (1 - overlap) ** 2 * span,
         "speed": float(np.log(speed)) ** 2 * span,
         # A lagging sensor rounds the corners of its signal; one that turns more sharply than the source does not.
-        "corners": min(float(np.log(max(sharpness, 1e-9) / max(known.sharpness, 1e-9))), 0.0) ** 2 * span,
+        "corners": min(float(np.log(max(sharpness, 1e-9) / max(operation.sharpness, 1e-9))), 0.0) ** 2 * span,
         "gain": others.gain_error * load_rms,
         **_stage_terms(model, target, unit_map, estimate if len(rows) == len(target.windows) else None),
     }
@@ -230,8 +239,8 @@ def gather_evidence(
     if lot_fit is not None:
         budget |= {SHARED: lot_fit.common_rmse, "own_part": lot_fit.unit_rmse}
     if others.trials:
-        misread = rms(np.concatenate([_misread(model, trial) for trial in others.trials]))
-        budget["paired"] = float(np.hypot(misread, max(trial.floor for trial in others.trials)))
+        paired_rmse = rms(np.concatenate([_paired_errors(model, trial) for trial in others.trials]))
+        budget["paired"] = float(np.hypot(paired_rmse, max(trial.reference_rmse for trial in others.trials)))
     return MapEvidence(
         rows,
         estimate,
@@ -240,10 +249,10 @@ def gather_evidence(
         disagreement,
         unmapped=network.evaluate(raw),
         overlap=overlap,
-        unmapped_overlap=_use_overlap(known, interval.support.shape(raw)),
+        unmapped_overlap=_operation_overlap(operation, interval.support.shape(raw)),
         speed=speed,
         budget=budget,
-        knowledge=known_by(budget, model.method.knowledge, is_anchored),
+        correspondence=find_correspondence(budget, model.method.correspondence, is_anchored),
         rest=rest,
     )
 
@@ -258,14 +267,14 @@ def _mapped(unit_map: UnitMap, target: OutputRecording, rows: Indices) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _KnownUse:
+class _SourceOperation:
     """How the source was pressed, as each of its units is compared with it.
 
     Args:
         shares, loads: quantiles of f on the source, in the reference unit.
         rest_spread: standard deviation of f at rest, in the reference unit.
         levels, slopes: edges of the grid that uses are compared on.
-        use: share of the source's windows in each cell of it.
+        cell_shares: share of the source's windows in each cell of it.
     """
 
     shares: Array
@@ -276,19 +285,19 @@ class _KnownUse:
     sharpness: float
     levels: Array
     slopes: Array
-    use: Array
+    cell_shares: Array
 
 
 @lru_cache(maxsize=CACHED)
-def _known_use(model: SourceModel) -> _KnownUse:
+def _source_operation(model: SourceModel) -> _SourceOperation:
     config, shape, estimate = model.method.forecast, model.shape, model.estimate
-    shares = np.linspace(*model.method.map.ends.reach, config.quantiles)
-    low, high = np.quantile(shape.level, model.method.map.ends.reach)
+    shares = np.linspace(*model.method.map.ends.quantile_range, config.quantiles)
+    low, high = np.quantile(shape.level, model.method.map.ends.quantile_range)
     # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
     levels = np.linspace(low, high, config.overlap_edges[0])
     slopes = np.linspace(-1, 1, config.overlap_edges[1])
     slopes *= np.quantile(np.abs(shape.slope), model.method.map.curve.shares[1])
-    return _KnownUse(
+    return _SourceOperation(
         shares=shares,
         loads=np.quantile(estimate, shares),
         rest_spread=_spread_at_rest(model, estimate, shape),
@@ -297,7 +306,7 @@ def _known_use(model: SourceModel) -> _KnownUse:
         sharpness=_sharpness(shape, config),
         levels=levels,
         slopes=slopes,
-        use=_use(shape, levels, slopes),
+        cell_shares=_cell_shares(shape, levels, slopes),
     )
 
 
@@ -344,20 +353,20 @@ def _stage_terms(
     The error of a map grows with the load. A unit pressed less hard than the source is therefore scaled up to the
     source's loads.
     """
-    if model.stage_floor is None:
+    if model.stage_scatter is None:
         return {}
     if estimate is None:
         estimate = model.network.evaluate(unit_map.apply(target.windows))
     difference = unit_difference(model.source, target, estimate, model.method)
     if difference is None:
         return {}
-    excess = difference.beyond(model.stage_floor)
-    ratio = _known_use(model).rms_load / max(rms_load(model, estimate), 1e-12)
-    growth = float(np.clip(ratio, 1.0, model.method.forecast.most_growth))
+    excess = difference.beyond(model.stage_scatter)
+    ratio = _source_operation(model).rms_load / max(rms_load(model, estimate), 1e-12)
+    growth = float(np.clip(ratio, 1.0, model.method.forecast.max_growth))
     return {"stage": growth * excess.rms, "slow": growth * excess.slow_rms}
 
 
-def _misread(model: SourceModel, trial: Trial) -> Array:
+def _paired_errors(model: SourceModel, trial: Trial) -> Array:
     """Return the differences of the unit's estimates from the source's reference at the same instants."""
     spread = evenly(len(trial.source_rows), 2 * model.method.map.pairs.pairs)
     estimate = model.network.evaluate(trial.unit_map.apply(trial.windows[spread]))
@@ -370,9 +379,9 @@ def beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:
     return np.asarray(np.maximum(np.maximum(low - load, load - high), 0.0))
 
 
-def _use_overlap(known: _KnownUse, shape: WindowShape) -> float:
+def _operation_overlap(operation: _SourceOperation, shape: WindowShape) -> float:
     """Return the overlap (1 - total variation distance) of the two distributions over level and slope, 0 to 1."""
-    return float(np.minimum(known.use, _use(shape, known.levels, known.slopes)).sum())
+    return float(np.minimum(operation.cell_shares, _cell_shares(shape, operation.levels, operation.slopes)).sum())
 
 
 def _fast(shape: WindowShape, config: ForecastConfig) -> float:
@@ -381,10 +390,10 @@ def _fast(shape: WindowShape, config: ForecastConfig) -> float:
 
 def _sharpness(shape: WindowShape, config: ForecastConfig) -> float:
     """Return the extreme bend over the extreme slope: pressing faster raises both, so that speed changes little."""
-    return float(np.quantile(np.abs(shape.bend), config.sharp)) / _fast(shape, config)
+    return float(np.quantile(np.abs(shape.curvature), config.sharp)) / _fast(shape, config)
 
 
-def _use(shape: WindowShape, levels: Array, slopes: Array) -> Array:
+def _cell_shares(shape: WindowShape, levels: Array, slopes: Array) -> Array:
     level, slope = np.clip(shape.level, levels[0], levels[-1]), np.clip(shape.slope, slopes[0], slopes[-1])
     counts, *_ = np.histogram2d(level, slope, (levels, slopes))
     return np.asarray(counts / len(level))

@@ -11,10 +11,10 @@ from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
+from softcal.core.unit.correspondence import BLIND
 from softcal.core.unit.evidence import MapEvidence, rest_rows
 from softcal.core.unit.forecast import map_variance
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.knowledge import BLIND
 from softcal.core.unit.method import FindingConfig, Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Finding, Verdict
@@ -35,9 +35,9 @@ def map_findings(
     checks = (
         lagging,
         _unfamiliar(model, evidence),
-        None if lag else _other_use(evidence, model.method.findings),
+        None if lag else _operation_mismatch(evidence, model.method.findings),
         _uncovered(model, target, evidence),
-        _misread(model, evidence) or _restless(model, target, evidence),
+        _stage_bias(model, evidence) or _restless(model, target, evidence),
         _not_better(model, evidence),
         _stretched(model, target, evidence),
     )
@@ -60,20 +60,22 @@ def contradictions(
         return (Finding(reason("reversed"), Verdict.FAIL),)
     if shared is not None and not shared.is_synchronous and (times := _times_as_fast(source, target, method)) != 1:
         return (Finding(reason("other_speed", times=times), Verdict.RETEST),)
-    (low, high), (least, most) = (_reach(recording.output, method.health.span) for recording in (target, source))
-    apart = max(low - most, least - high)
+    (low, high), (source_low, source_high) = (
+        _quantile_range(recording.output, method.health.span) for recording in (target, source)
+    )
+    apart = max(low - source_high, source_low - high)
     # Ranges of good units overlap throughout, and their levels at rest differ by tens of per cent.
-    if apart > 0.5 * max(high - low, most - least, abs(least + most) / 2):
+    if apart > 0.5 * max(high - low, source_high - source_low, abs(source_low + source_high) / 2):
         ranges: dict[str, float | str] = {
             "low": low,
             "high": high,
-            "least": least,
-            "most": most,
+            "least": source_low,
+            "most": source_high,
             "unit": target.output_unit,
         }
-        factor = _unit_factor((low, high), (least, most), method.findings.unit_step)
-        said = reason("elsewhere", **ranges) if factor == 1 else reason("other_unit", factor=factor, **ranges)
-        return (Finding(said, Verdict.RETEST),)
+        factor = _unit_factor((low, high), (source_low, source_high), method.findings.unit_step)
+        cause = reason("elsewhere", **ranges) if factor == 1 else reason("other_unit", factor=factor, **ranges)
+        return (Finding(cause, Verdict.RETEST),)
     return ()
 
 
@@ -111,42 +113,42 @@ def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
 
 def _uncovered(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit was pressed over too little of the source's range: by position where known."""
-    source, shares = model.source.unlabelled, model.method.map.ends.reach
+    source, shares = model.source.unlabelled, model.method.map.ends.quantile_range
     if target.stage_mm is not None and source.stage_mm is not None:
-        what, unit = "part.pressed", "mm"
-        reach, whole = _reach(target.stage_mm, shares), _reach(source.stage_mm, shares)
+        code, unit = "part.pressed", "mm"
+        covered, full_range = _quantile_range(target.stage_mm, shares), _quantile_range(source.stage_mm, shares)
     else:
-        what, unit = "part.loaded", model.network.reference_unit
-        reach, whole = _reach(evidence.estimate, shares), (model.interval.low, model.interval.high)
-    share = (min(reach[1], whole[1]) - max(reach[0], whole[0])) / (whole[1] - whole[0])
+        code, unit = "part.loaded", model.network.reference_unit
+        covered, full_range = _quantile_range(evidence.estimate, shares), (model.interval.low, model.interval.high)
+    share = (min(covered[1], full_range[1]) - max(covered[0], full_range[0])) / (full_range[1] - full_range[0])
     if share >= model.method.map.synchrony.covered_share:
         return None
     return Finding(
         reason(
             "not_covered",
-            what=Reason(what),
-            low=reach[0],
-            high=reach[1],
+            what=Reason(code),
+            low=covered[0],
+            high=covered[1],
             share=max(share, 0.0),
-            least=whole[0],
-            most=whole[1],
+            least=full_range[0],
+            most=full_range[1],
             unit=unit,
         )
     )
 
 
-def _reach(values: Array, shares: tuple[float, float]) -> tuple[float, float]:
+def _quantile_range(values: Array, shares: tuple[float, float]) -> tuple[float, float]:
     low, high = np.quantile(values, shares)
     return float(low), float(high)
 
 
-def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
+def _operation_mismatch(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
     """Return a finding where the unit's loads and speeds are not the source's.
 
     Where the stage position is known the map does not rest on that mix; else nothing firm can be said. Units under one
     load at once ran one programme.
     """
-    best = evidence.knowledge.config.other_use
+    best = evidence.correspondence.config.mismatch_verdict
     is_alike = 1 / config.speed_factor <= evidence.speed <= config.speed_factor
     if not best or (evidence.overlap >= config.enough_overlap and is_alike):
         return None
@@ -167,19 +169,22 @@ def _stretched(model: SourceModel, target: OutputRecording, evidence: MapEvidenc
     if evidence.budget["clipping"]:
         return None
     raw = model.interval.support.shape(target.windows[evidence.rows])
-    spans = [np.subtract(*_reach(shape.level, model.method.map.ends.reach)[::-1]) for shape in (evidence.shape, raw)]
+    spans = [
+        np.subtract(*_quantile_range(shape.level, model.method.map.ends.quantile_range)[::-1])
+        for shape in (evidence.shape, raw)
+    ]
     gain, config = float(spans[0] / max(spans[1], 1e-12)), model.method.findings
-    times, is_known = max(gain, 1 / gain), evidence.knowledge.is_placed or evidence.knowledge.is_anchored
-    if times <= (config.stretch if is_known else config.said_stretch):
+    times, is_supported = max(gain, 1 / gain), evidence.correspondence.is_matched or evidence.correspondence.is_anchored
+    if times <= (config.stretch if is_supported else config.reported_stretch):
         return None
-    best = Verdict.RETEST if is_known or times > config.blind_stretch else Verdict.CONDITIONAL
+    best = Verdict.RETEST if is_supported or times > config.blind_stretch else Verdict.CONDITIONAL
     return Finding(reason("stretched", gain=gain), best)
 
 
-def _misread(model: SourceModel, evidence: MapEvidence) -> Finding | None:
+def _stage_bias(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit reads other loads than the source did at equal stage histories, for long."""
     # Where unit and source were pressed by one load at once, equal positions say nothing more.
-    slow = evidence.budget.get("slow", 0.0) if "slow" in evidence.knowledge.sensitivity else 0.0
+    slow = evidence.budget.get("slow", 0.0) if "slow" in evidence.correspondence.sensitivity else 0.0
     # Half of what f itself misreads is worth no word.
     if slow <= 0.5 * model.held_out_rmse:
         return None
@@ -219,8 +224,8 @@ def _is_reversed(
     if shared is not None and shared.rank_correlation <= -method.map.synchrony.min_rank_correlation:
         return True
     # Wasserstein's distance of the levels, as they are and upside down. k presses leave 1 / sqrt(k) of it to chance.
-    unit, known = (_levels(recording, method) for recording in (target, source))
-    upright, mirrored = (float(np.mean(np.abs(levels - known))) for levels in (unit, 1 - unit[::-1]))
+    unit, source_levels = (_levels(recording, method) for recording in (target, source))
+    upright, mirrored = (float(np.mean(np.abs(levels - source_levels))) for levels in (unit, 1 - unit[::-1]))
     presses = max(min(swings(recording, method.map.crossing) for recording in (target, source)) / 2, 1.0)
     is_nearer = (upright - mirrored) * presses**0.5 > config.upside_down
     # A readout that clips heaps its levels at the loaded end: like the source it is neither way.
@@ -233,8 +238,8 @@ def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Met
 
     The drive cannot do that by itself: the samples were taken, or are told to be taken, at another rate.
     """
-    lasted_s, whole_s = (recording.t_s[-1] - recording.t_s[0] for recording in (target, source))
-    times = float(whole_s / lasted_s)
+    target_s, source_s = (recording.t_s[-1] - recording.t_s[0] for recording in (target, source))
+    times = float(source_s / target_s)
     if abs(times - 1) <= RATE_TOLERANCE:
         return 1.0
     # One programme makes the same presses at any rate; twice as many are another one, which no comparison need show.
@@ -250,8 +255,8 @@ def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Met
 @lru_cache(maxsize=CACHED)
 def _levels(recording: OutputRecording, method: Method) -> Array:
     """Return the quantiles of the output, as shares of the span between its tails."""
-    low, high = _reach(recording.output, method.health.span)
-    shares = np.linspace(*method.map.ends.reach, method.forecast.quantiles)
+    low, high = _quantile_range(recording.output, method.health.span)
+    shares = np.linspace(*method.map.ends.quantile_range, method.forecast.quantiles)
     return np.asarray((np.quantile(recording.output, shares) - low) / (high - low))
 
 
@@ -268,15 +273,18 @@ def _not_better(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     the source than it was. A map that changes next to nothing does no harm either way.
     """
     config, unit = model.method.findings, model.network.reference_unit
-    doubt, correction = float(np.sqrt(map_variance(evidence.budget, evidence.knowledge))), evidence.correction_rms
+    uncertainty, correction = (
+        float(np.sqrt(map_variance(evidence.budget, evidence.correspondence))),
+        evidence.correction_rms,
+    )
     # A correction by half of what f itself misreads does no harm either way.
     harmless = 0.5 * evidence.budget["model"]
-    is_blind = evidence.knowledge.kind == BLIND and correction > harmless
+    is_blind = evidence.correspondence.kind == BLIND and correction > harmless
     gained = evidence.overlap - evidence.unmapped_overlap
-    if doubt > max(correction, harmless):
-        why = reason("part.uncertain", doubt=doubt, unit=unit)
+    if uncertainty > max(correction, harmless):
+        cause = reason("part.uncertain", doubt=uncertainty, unit=unit)
     elif is_blind and gained < config.overlap_gain:
-        why = reason("part.no_nearer", gained=gained)
+        cause = reason("part.no_nearer", gained=gained)
     else:
         return None
-    return Finding(reason("not_better", correction=correction, unit=unit, why=why))
+    return Finding(reason("not_better", correction=correction, unit=unit, why=cause))

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from softcal.core.maps.interface import UnitMap
 from softcal.core.messages.reason import Reason
 from softcal.core.unit.budget import Reference
+from softcal.core.unit.correspondence import Correspondence
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.lot_fit_part import LotFitPart
 from softcal.core.unit.method import Method
 from softcal.core.unit.missing import MissingShares
@@ -32,7 +32,7 @@ class Fit:
     Args:
         id: content hash of what it was fitted from: recording, network, method, known loads, golden run.
         map_sha256: content hash of the map γ.
-        knowledge: how unit and source correspond.
+        correspondence: how unit and source correspond.
         budget: standard uncertainties u_i of the forecast by term (GUM, JCGM 100:2008).
         diagnostics: numbers of the map's family, for people to read.
         findings, rule_findings: what recording and map show against the unit; what rules of other packages say.
@@ -54,7 +54,7 @@ class Fit:
     family: str
     map_sha256: str
     method: Method
-    knowledge: LoadKnowledge
+    correspondence: Correspondence
     forecast: ErrorForecast
     budget: Mapping[str, float] = field(default_factory=dict)
     diagnostics: Mapping[str, float | str] = field(default_factory=dict)  # noqa: V107

@@ -1,7 +1,7 @@
 """Forecast the error of one unit without a label, as a measurement uncertainty budget (GUM, JCGM 100:2008).
 
-Sensitivity coefficients, chosen on simulated lots for each kind of knowledge about the loads (`knowledge.py`), combine
-the terms of the budget (`evidence.py`).
+Sensitivity coefficients, chosen on simulated lots for each kind of correspondence (`correspondence.py`), combine the
+terms of the budget (`evidence.py`).
 """
 
 from collections.abc import Mapping
@@ -9,36 +9,36 @@ from collections.abc import Mapping
 import numpy as np
 
 from softcal.core.recording import Array
+from softcal.core.unit.correspondence import SHARED, Correspondence
 from softcal.core.unit.evidence import DAY, LINE, MapEvidence, beyond
-from softcal.core.unit.knowledge import SHARED, LoadKnowledge
 from softcal.core.unit.method import LEVELS
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import DIRECTIONS, ErrorForecast
 
 
-def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> ErrorForecast:
+def forecast_error(budget: Mapping[str, float], correspondence: Correspondence) -> ErrorForecast:
     """Combine a budget: u_c^2 = u_base^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty.
 
     What line and day add has coefficient 1 whatever is known of the loads: no recording of the unit shows it.
     """
     outside = budget.get(LINE, 0.0) ** 2 + budget.get(DAY, 0.0) ** 2
-    rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge) + outside))
-    low, high = knowledge.config.log_error
+    rmse = float(np.sqrt(_base(budget, correspondence) ** 2 + _squares(budget, correspondence) + outside))
+    low, high = correspondence.config.log_error
     return ErrorForecast(rmse, rmse * float(np.exp(low)), rmse * float(np.exp(high)))
 
 
-def map_variance(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
+def map_variance(budget: Mapping[str, float], correspondence: Correspondence) -> float:
     """Return the part of the forecast's variance that comes from map and recording, without network and line."""
-    beyond_model = _base(budget, knowledge) ** 2 - budget["model"] ** 2
-    return _squares(budget, knowledge) + max(beyond_model, 0.0)
+    beyond_model = _base(budget, correspondence) ** 2 - budget["model"] ** 2
+    return _squares(budget, correspondence) + max(beyond_model, 0.0)
 
 
-def _base(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
-    return knowledge.config.base_factor * budget[knowledge.config.base_term]
+def _base(budget: Mapping[str, float], correspondence: Correspondence) -> float:
+    return correspondence.config.base_factor * budget[correspondence.config.base_term]
 
 
-def _squares(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
-    return float(sum((coefficient * budget[name]) ** 2 for name, coefficient in knowledge.sensitivity.items()))
+def _squares(budget: Mapping[str, float], correspondence: Correspondence) -> float:
+    return float(sum((coefficient * budget[name]) ** 2 for name, coefficient in correspondence.sensitivity.items()))
 
 
 def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
@@ -49,16 +49,16 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     variance of loads that the unit has not shown is added at those loads only. What the line adds grows with the square
     of the load as well.
     """
-    budget, knowledge = evidence.budget, evidence.knowledge
-    unseen = knowledge.sensitivity["extrapolation"]
+    budget, correspondence = evidence.budget, evidence.correspondence
+    unseen = correspondence.sensitivity["extrapolation"]
     pattern = 0.5 + 0.5 * _disagreement_pattern(model, evidence)
-    if not knowledge.is_placed and (budget["gain"] or budget.get(SHARED)):
+    if not correspondence.is_matched and (budget["gain"] or budget.get(SHARED)):
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
-    reach = model.method.map.ends.reach
-    unshown = unseen * beyond(model.interval.levels, evidence.estimate, reach)
-    spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
+    quantile_range = model.method.map.ends.quantile_range
+    unshown = unseen * beyond(model.interval.levels, evidence.estimate, quantile_range)
+    spread_out = map_variance(budget, correspondence) - (unseen * budget["extrapolation"]) ** 2
     line = budget.get(LINE, 0.0) ** 2 * _load_pattern(model, evidence)
-    return knowledge.config.interval_share * spread_out * pattern + unshown**2 + line + budget.get(DAY, 0.0) ** 2
+    return correspondence.config.interval_share * spread_out * pattern + unshown**2 + line + budget.get(DAY, 0.0) ** 2
 
 
 def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:

@@ -10,7 +10,7 @@ from softcal.core.maps.crossing import CACHED
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig, Method
-from softcal.core.unit.missing import lost_windows
+from softcal.core.unit.missing import missing_windows
 from softcal.core.unit.verdict import Finding, Verdict
 
 
@@ -64,13 +64,13 @@ def rail(recording: OutputRecording, is_upper: bool, method: Method) -> Rail:
     rising = output if is_upper else -output
     band = noise_band(recording, method)
     top, span = float(rising.max()), float(np.ptp(rising))
-    in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
+    in_band, next_band = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
     pressed = rising >= top - max(config.near_end * span, 2 * band)
     # Number 0 is what the recording begins with: nobody saw that press rise.
     press = np.cumsum(np.concatenate([[False], pressed[1:] & ~pressed[:-1]]))
     is_flat_run = in_band & (run_lengths(in_band.astype(np.float64)) == config.rail_run)
     ran = np.bincount(press[is_flat_run], minlength=press[-1] + 1)
-    inside, next_inside = (np.bincount(press[rows], minlength=press[-1] + 1) for rows in (in_band, beside))
+    inside, next_inside = (np.bincount(press[rows], minlength=press[-1] + 1) for rows in (in_band, next_band))
     # Each press for itself: one long hold must not make flat ends of the tips of others as deep.
     is_flat = (ran > 0) & (inside >= config.pile * np.maximum(next_inside, 1))
     count = int(np.count_nonzero(is_flat[1:]))
@@ -88,8 +88,8 @@ def noise_band(recording: OutputRecording, method: Method) -> float:
     """
     noise = float(np.median(np.abs(np.diff(recording.output, 2)))) / 0.6745 / np.sqrt(6)
     # A simulated recording may have neither noise nor steps.
-    least = 1e-3 * float(np.ptp(recording.output))
-    return float(max(method.map.ends.clear_of_noise * noise, method.health.adc_steps * recording.step, least))
+    min_width = 1e-3 * float(np.ptp(recording.output))
+    return float(max(method.map.ends.clear_of_noise * noise, method.health.adc_steps * recording.step, min_width))
 
 
 def check_alive(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> None:
@@ -103,9 +103,9 @@ def check_alive(target: OutputRecording, source: OutputRecording, config: Health
     output, unit = target.output, target.output_unit
     if unit != source.output_unit:
         raise InputError(f"target output is in {unit}, the source's in {source.output_unit}")
-    seen, wanted = target.sample_rate_Hz, source.sample_rate_Hz
-    if abs(seen / wanted - 1) > RATE_TOLERANCE:
-        raise UnitRefused(reason("other_rate", seen=seen, wanted=wanted))
+    rate_Hz, source_rate_Hz = target.sample_rate_Hz, source.sample_rate_Hz
+    if abs(rate_Hz / source_rate_Hz - 1) > RATE_TOLERANCE:
+        raise UnitRefused(reason("other_rate", seen=rate_Hz, wanted=source_rate_Hz))
     cure = Reason("part.check_cable")
     if np.ptp(output) == 0:
         raise UnitRefused(reason("dead.constant", level=float(output[0]), unit=unit, count=len(output), cure=cure))
@@ -124,8 +124,8 @@ def output_limits(target: OutputRecording, source: OutputRecording, is_rising: b
 
     Only the loaded end of the output is looked at: at rest every unit is flat.
     """
-    end, known = (rail(recording, is_rising, method) for recording in (target, source))
-    clipped = end.level if end.is_clipped(known, method.health) else None
+    end, source_end = (rail(recording, is_rising, method) for recording in (target, source))
+    clipped = end.level if end.is_clipped(source_end, method.health) else None
     # A slow load on a coarse converter stands still for long by itself: twice the longest seen is no fault yet.
     longest = max(_longest_run(recording) for recording in (target, source))
     return OutputLimits(
@@ -158,12 +158,12 @@ def health_findings(
     if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
     # Windows that a logger lost are not for want of presses.
-    windows, presses = len(target.window_rows) + lost_windows(target)[1], count_presses(target, config)
+    windows, presses = len(target.window_rows) + missing_windows(target)[1], count_presses(target, config)
     # A slow programme may have but two presses in the source too.
     enough = min(config.few_presses, count_presses(source, config))
     if windows < config.few_windows or presses < enough:
-        seen = {"windows": windows, "presses": presses}
-        too_little = reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough)
+        counts = {"windows": windows, "presses": presses}
+        too_little = reason("too_little_data", **counts, enough_windows=config.few_windows, enough_presses=enough)
         findings.append(Finding(too_little))
     return tuple(findings)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 
-MOST_SPREAD = 1.0
+MAX_SPREAD = 1.0
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class LineSpread:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and not 0 <= value < MOST_SPREAD:
+            if value is not None and not 0 <= value < MAX_SPREAD:
                 raise InputError(
                     f"[line] {name}_spread is {value:g}; a share of the load between 0 and 1 was expected, such as 0.03"
                 )
@@ -45,7 +45,7 @@ class LineSpread:
 
 
 @dataclass(frozen=True)
-class SeenGains:
+class EstimatedGains:
     """Geometric mean, and standard deviation of the logarithm, of estimate / reference in audits or golden runs."""
 
     count: int
@@ -53,9 +53,9 @@ class SeenGains:
     spread: float
 
 
-def seen_gains(gains: Sequence[float], min_gains: int) -> SeenGains | None:
+def estimate_gains(gains: Sequence[float], min_gains: int) -> EstimatedGains | None:
     """Return mean and spread of gains; None where they are fewer than `min_gains`, or one is not positive."""
     if len(gains) < min_gains or min(gains) <= 0:
         return None
     logs = np.log(gains)
-    return SeenGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))
+    return EstimatedGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))

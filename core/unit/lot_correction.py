@@ -47,8 +47,8 @@ class Trend:
         """Return the number for one unit and its standard uncertainty; the mean where x is not known."""
         if x is None or not self.slope:
             return self.mean, self.mean_error
-        away = min(max(x, self.low), self.high) - self.centre
-        return self.mean + self.slope * away, float(np.hypot(self.mean_error, self.slope_error * away))
+        deviation = min(max(x, self.low), self.high) - self.centre
+        return self.mean + self.slope * deviation, float(np.hypot(self.mean_error, self.slope_error * deviation))
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,9 @@ class LotCorrection:
         """
         fit = state.fit
         common = self.line_of(state.serial, fit.output_level, fit.method.release.min_correction_audits)
-        if common is None or fit.knowledge.is_anchored or fit.rules:
+        if common is None or fit.correspondence.is_anchored or fit.rules:
             return replace(state, correction=None)
-        levels = SourceLevels.of(source, fit.method.map.anchors)
+        levels = SourceLevels.from_source(source, fit.method.map.anchors)
         read = np.array([state.fitted.interval.low, state.fitted.interval.high])
         was, now = levels.at(read), levels.at((read - common.line.zero) / common.line.gain)
         gain = float((now[1] - now[0]) / (was[1] - was[0]))
@@ -120,17 +120,17 @@ def _trend(values: Array, at: Sequence[float | None]) -> Trend:
     """Fit a number over another by least squares, mean and slope each shrunk by what chance explains of it."""
     count, mean = len(values), float(values.mean())
     x = np.array([one for one in at if one is not None])
-    away = x - x.mean() if len(x) == count else np.zeros(count)
+    deviation = x - x.mean() if len(x) == count else np.zeros(count)
     slope, slope_error, centre, low, high = 0.0, 0.0, 0.0, 0.0, 0.0
-    left, degrees = values - mean, count - 1
-    if degrees > 2 and np.any(away):
-        raw = float(away @ values / (away @ away))
-        raw_error = float(np.sqrt(np.sum((left - raw * away) ** 2) / (count - 2) / (away @ away)))
+    residuals, degrees = values - mean, count - 1
+    if degrees > 2 and np.any(deviation):
+        raw = float(deviation @ values / (deviation @ deviation))
+        raw_error = float(np.sqrt(np.sum((residuals - raw * deviation) ** 2) / (count - 2) / (deviation @ deviation)))
         slope, slope_error = _shrunk(raw, raw_error), raw_error
         if slope:
-            left, degrees = left - slope * away, count - 2
+            residuals, degrees = residuals - slope * deviation, count - 2
             centre, low, high = float(x.mean()), float(x.min()), float(x.max())
-    mean_error = float(np.sqrt(left @ left / degrees / count))
+    mean_error = float(np.sqrt(residuals @ residuals / degrees / count))
     return Trend(_shrunk(mean, mean_error), slope, centre, low, high, mean_error, slope_error)
 
 

@@ -26,9 +26,9 @@ class LotMap:
     @property
     def chosen(self) -> ChosenMap:
         """The map as the choice of a unit: what it might have been alone stands beside it."""
-        alone, why = self.unit.alone, "paired with the load that units of its lot share"
+        alone, decision = self.unit.alone, "paired with the load that units of its lot share"
         alternatives = {alone.family: alone.unit_map, **alone.alternatives}
-        return ChosenMap(self.unit.unit_map, {"decision": why, "moved_rmse": self.unit.moved_rmse}, alternatives)
+        return ChosenMap(self.unit.unit_map, {"decision": decision, "moved_rmse": self.unit.moved_rmse}, alternatives)
 
     @classmethod
     def from_group(

@@ -20,7 +20,7 @@ class MeasuredError:
     rows: int
 
     @classmethod
-    def of(cls, estimate: Array, reference: Array) -> "MeasuredError":
+    def from_estimates(cls, estimate: Array, reference: Array) -> "MeasuredError":
         """Compare (n,) estimates, NaN where there is none, with the reference beside them."""
         return cls(rmse(estimate, reference), int(np.count_nonzero(np.isfinite(estimate))))
 
@@ -37,7 +37,7 @@ class MeasuredError:
 
 
 @dataclass(frozen=True)
-class OwnScores:
+class OwnCalibrationScores:
     """The unit's own network beside f and the map on the rows that it was tested on (Kim et al. 2020, Table 1)."""
 
     before: MeasuredError
@@ -67,5 +67,5 @@ class Scores:
 
     before: MeasuredError
     after: MeasuredError
-    own: OwnScores | None = None
+    own: OwnCalibrationScores | None = None
     unscored: Mapping[str, int] = field(default_factory=dict)

@@ -1,9 +1,9 @@
 """The method: every number that can change a map, an interval, a forecast or a verdict, each with its origin.
 
-A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`. Halves, and constants of arithmetic
-and solvers, stand in the formula they belong to. The whole is kept with every calibration and is part of its identity:
-results of other numbers show as stale. A release goes by the method of the lot's calibrations. The number of
-a trim is part of the device format (`unit/trim.py`).
+A number that decides stands here or in `maps/config.py` and `unit/correspondence.py`. Halves, and constants of
+arithmetic and solvers, stand in the formula they belong to. The whole is stored with every calibration and is part of
+its identity: results of other numbers show as stale. A release goes by the method of the lot's calibrations. The number
+of a trim is part of the device format (`unit/trim.py`).
 """
 
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.maps.config import MapConfig
 from softcal.core.settings import SET, NumberedMethod, setting
-from softcal.core.unit.knowledge import KnowledgeTable
+from softcal.core.unit.correspondence import CorrespondenceTable
 from softcal.core.windows import TAPS
 
 CONFIDENCE = 0.90
@@ -89,7 +89,7 @@ class ForecastConfig:
 
     Args:
         quantiles: number of quantiles at which two distributions are compared.
-        most_growth: no more than this is made of what a lightly pressed unit would misread under the source's loads.
+        max_growth: no more than this is made of what a lightly pressed unit would misread under the source's loads.
         parts: shares of the recording left out in turn while the chosen family is fitted again.
         stretches: per left-out share.
         clipped_part: a clipped load is anywhere in this part of the range: the upper third.
@@ -98,7 +98,7 @@ class ForecastConfig:
     """
 
     quantiles: int = setting(100)
-    most_growth: float = setting(3.0)
+    max_growth: float = setting(3.0)
     parts: int = setting(3)
     stretches: int = setting(4)
     clipped_part: int = setting(3)
@@ -121,16 +121,16 @@ class LineConfig:
 
 
 @dataclass(frozen=True)
-class BridgeConfig:
-    """What a golden run is believed (`bridge.py`).
+class DayCorrectionConfig:
+    """What a golden run is believed (`day_correction.py`).
 
     Args:
-        most_misread: share of the SD of its loads that f may misread it by once gain and zero are taken out.
-        most_gain: a day that changes the gain by more than this factor is another unit.
+        max_relative_error: share of the SD of its loads that f may misread it by once gain and zero are taken out.
+        max_gain_change: a day that changes the gain by more than this factor is another unit.
     """
 
-    most_misread: float = setting(0.3)
-    most_gain: float = setting(1.5)
+    max_relative_error: float = setting(0.3)
+    max_gain_change: float = setting(1.5)
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class FindingConfig:
     unit_step: float = setting(1e3, "between V, mV and uV, as readouts state them")
 
     @property
-    def said_stretch(self) -> float:
+    def reported_stretch(self) -> float:
         return 0.9 * self.blind_stretch
 
 
@@ -183,11 +183,11 @@ class DecisionConfig:
 
     Args:
         default_factor: a lot that states no limit gets this factor times the source's own held-out RMSE.
-        least_own_windows: with fewer training windows a network of one's own says little and is left out.
+        min_own_windows: with fewer training windows a network of one's own says little and is left out.
     """
 
     default_factor: float = setting(3.0)
-    least_own_windows: int = setting(400)
+    min_own_windows: int = setting(400)
 
 
 @dataclass(frozen=True)
@@ -198,15 +198,17 @@ class ReleaseConfig:
         risk: largest share of released units beyond the limit that is promised.
         confidence: probability that lots released by the rule keep to it.
         min_spread: SD of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller.
-        reserve: a bound is taken at this part of the error that the promise allows: 10 makes 99 % of 90 %. Else one
-            poor lot in ten is let through, and of kinds of lot that are mostly poor those are all that is released.
+        confidence_margin: a bound is taken at this part of the error that the promise allows: 10 makes 99 % of 90 %.
+            Else one poor lot in ten is let through, and of kinds of lot that are mostly poor those are all that is
+            released.
         min_audits: the spread of fewer audits is a guess, whatever risk is asked for.
         min_part: a lot is released by sample where at least this part of it passes; the few best of a poor lot are
             picked by luck.
         min_lots: audits of fewer lots say nothing firm about a lot without audits: how lots differ is not known.
         lasts_days: how long an audit of an earlier lot counts.
         max_audits: audited units that the scale of the intervals is made of.
-        min_coverage: an interval covers at least this share of the samples of all units but the risk (`interval_inflation.py`).
+        min_coverage: an interval covers at least this share of the samples of all units but the risk
+            (`interval_inflation.py`).
         min_others: an audit is out of line with at least so many others. Fewer audited units or golden runs show no
             spread of a line or its days.
         exchanged, min_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
@@ -220,7 +222,7 @@ class ReleaseConfig:
     risk: float = setting(0.10)
     confidence: float = setting(0.90)
     min_spread: float = setting(0.10)
-    reserve: float = setting(10.0, "benchmarks/trust.py on seeds 0-24; tested on seeds 24-48")
+    confidence_margin: float = setting(10.0, "benchmarks/trust.py on seeds 0-24; tested on seeds 24-48")
     min_audits: int = setting(5)
     min_part: float = setting(0.5)
     min_lots: int = setting(3)
@@ -243,7 +245,7 @@ class Method(NumberedMethod):
         version: raised when the code computes otherwise from the same numbers.
         taps, levels, confidence: of windows and intervals.
         range_margin: an estimate further than this share of the source's range beyond it is out of range.
-        map, source, inspection, health, forecast, knowledge, line, bridge, findings, decision, release: a
+        map, source, inspection, health, forecast, correspondence, line, day_correction, findings, decision, release: a
             section a module.
     """
 
@@ -257,9 +259,9 @@ class Method(NumberedMethod):
     inspection: InspectionConfig = field(default_factory=InspectionConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     forecast: ForecastConfig = field(default_factory=ForecastConfig)
-    knowledge: KnowledgeTable = field(default_factory=KnowledgeTable)
+    correspondence: CorrespondenceTable = field(default_factory=CorrespondenceTable)
     line: LineConfig = field(default_factory=LineConfig)
-    bridge: BridgeConfig = field(default_factory=BridgeConfig)
+    day_correction: DayCorrectionConfig = field(default_factory=DayCorrectionConfig)
     findings: FindingConfig = field(default_factory=FindingConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
     release: ReleaseConfig = field(default_factory=ReleaseConfig)

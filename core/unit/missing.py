@@ -81,13 +81,13 @@ def missing_samples(recording: OutputRecording, config: InspectionConfig) -> Mis
     gaps, pauses, slow = (tuple(one for one in timing if one.kind == kind) for kind in ("gap", "pause", "rate"))
     steps = np.diff(t_s) * rate_Hz
     absent = float(np.sum(np.maximum(np.round(steps) - 1, 0))) - sum(pause.amount for pause in pauses)
-    windows, _ = lost_windows(recording)
+    windows, _ = missing_windows(recording)
     share = (len(recording.masked) + absent) / (valid + len(recording.masked) + absent)
     return MissingSamples(recording.masked.counts, share, windows, gaps, pauses, slow)
 
 
 @lru_cache(maxsize=CACHED)
-def lost_windows(recording: OutputRecording) -> tuple[float, int]:
+def missing_windows(recording: OutputRecording) -> tuple[float, int]:
     """Return the share of the windows that the rows of a recording would fill and still do, and how many are lost."""
     share = window_share(recording.t_s, len(recording) + len(recording.masked), recording.sample_rate_Hz)
     return share, round((1 - share) / max(share, 1e-9) * len(recording.window_rows))
@@ -167,8 +167,8 @@ def _observed(recording: OutputRecording, missing: MissingSamples) -> list[Reaso
 def _first(masked: MaskedSamples) -> Reason:
     """Return where the first masked sample stands, and its value."""
     line, at, value = int(masked.lines[0]), float(masked.t_s[0]), float(masked.values[0])
-    place = reason("part.at_line", number=line, at=at) if line else reason("part.at_time", at=at)
-    return place if np.isnan(value) else reason("part.value_at", place=place, value=value)
+    location = reason("part.at_line", number=line, at=at) if line else reason("part.at_time", at=at)
+    return location if np.isnan(value) else reason("part.value_at", place=location, value=value)
 
 
 def _times_the_range(recording: OutputRecording, masked: MaskedSamples) -> float:

@@ -18,12 +18,12 @@ def faults(rule: Rule) -> list[str]:
     sentences, and changes nothing of what it looks at.
     """
     if not is_rule(rule):
-        return ["a rule has a text `name`, a text `version` and a method `look(facts)`"]
+        return ["a rule has a text `name`, a text `version` and a method `look(rule_input)`"]
     problems = [f"`{part}` is empty" for part in ("name", "version") if not getattr(rule, part).strip()]
-    for facts in _examples():
-        output, estimate = facts.recording.output.copy(), facts.estimate.copy()
+    for rule_input in _examples():
+        output, estimate = rule_input.recording.output.copy(), rule_input.estimate.copy()
         try:
-            first, again = list(rule.look(facts)), list(rule.look(facts))
+            first, again = list(rule.look(rule_input)), list(rule.look(rule_input))
         except Exception as error:
             problems.append(f"look raises {type(error).__name__}: {error}")
             continue
@@ -31,7 +31,7 @@ def faults(rule: Rule) -> list[str]:
             problems.append("look gives something else than objections with a sentence")
         elif first != again:
             problems.append("look answers the same unit differently the second time")
-        if not (np.array_equal(output, facts.recording.output) and np.array_equal(estimate, facts.estimate)):
+        if not (np.array_equal(output, rule_input.recording.output) and np.array_equal(estimate, rule_input.estimate)):
             problems.append("look changes what it was given")
     return list(dict.fromkeys(problems))
 

@@ -53,7 +53,7 @@ class Rule(Protocol):
     name: str
     version: str
 
-    def look(self, facts: RuleInput) -> Iterable[Objection]:
+    def look(self, rule_input: RuleInput) -> Iterable[Objection]:
         """Return what stands against the unit; nothing lets it go on."""
 
 
@@ -62,10 +62,10 @@ def identity(rule: Rule) -> str:
     return f"{rule.name} {rule.version}"
 
 
-def is_rule(thing: object) -> bool:
+def is_rule(candidate: object) -> bool:
     """Return whether a thing has what a rule has: a name, a version and `look`."""
-    named = all(isinstance(getattr(thing, name, None), str) for name in ("name", "version"))
-    return named and not isinstance(thing, type) and callable(getattr(thing, "look", None))
+    has_texts = all(isinstance(getattr(candidate, name, None), str) for name in ("name", "version"))
+    return has_texts and not isinstance(candidate, type) and callable(getattr(candidate, "look", None))
 
 
 PLUGINS = PluginKind[Rule](
@@ -82,23 +82,23 @@ def rules_in_force() -> tuple[str, ...]:
     return tuple(RULES)
 
 
-def rule_findings(asked: Sequence[str], facts: RuleInput) -> tuple[Finding, ...]:
+def rule_findings(rule_ids: Sequence[str], rule_input: RuleInput) -> tuple[Finding, ...]:
     """Ask rules about a unit.
 
     Raises:
         InputError: a rule is not installed where the unit is calibrated.
     """
     findings: list[Finding] = []
-    for name in asked:
+    for name in rule_ids:
         rule = RULES.get(name)
         if rule is None:
-            here = ", ".join(RULES) or "none"
+            installed = ", ".join(RULES) or "none"
             raise InputError(
-                f"rule {name!r} is not installed where unit {facts.recording.serial} is calibrated (there: {here}); "
-                "nothing was decided: install one version of its package on every machine"
+                f"rule {name!r} is not installed where unit {rule_input.recording.serial} is calibrated "
+                f"(there: {installed}); nothing was decided: install one version of its package on every machine"
             )
         try:
-            objections = [(str(one.sentence), bool(one.press_again)) for one in rule.look(facts)]
+            objections = [(str(one.sentence), bool(one.press_again)) for one in rule.look(rule_input)]
         except Exception as error:
             # A rule that cannot judge has not agreed: the unit waits, and the lot goes on.
             message = f"{type(error).__name__}: {error}"

@@ -9,7 +9,7 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.unit.estimate import GAP, WARM_UP
-from softcal.core.unit.measured_error import MeasuredError, OwnScores, Scores
+from softcal.core.unit.measured_error import MeasuredError, OwnCalibrationScores, Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.windows import TAPS
 
@@ -19,13 +19,13 @@ def score_map(
     unit_map: UnitMap,
     audit: LabelledRecording,
     config: DecisionConfig,
-    own: NetworkConfig | MeasuredError | None = None,
+    own_calibration: NetworkConfig | MeasuredError | None = None,
 ) -> Scores:
     """Score a unit on all rows of its audit that have an estimate.
 
     Args:
-        own: how its own calibration is trained on the first three quarters of the audit, by time, and tested on the
-            rest (Kim et al. 2020, Table 1); or what such a network showed there; None leaves it out.
+        own_calibration: how its own calibration is trained on the first three quarters of the audit, by time, and
+            tested on the rest (Kim et al. 2020, Table 1); or what such a network showed there; None leaves it out.
     """
     recording, reference = audit.unlabelled, audit.reference
     raw, mapped = np.full(len(audit), np.nan), np.full(len(audit), np.nan)
@@ -35,40 +35,40 @@ def score_map(
     first = recording.segments[0]
     warm_up = min(first.stop - first.start, TAPS - 1)
     return Scores(
-        before=MeasuredError.of(raw, reference),
-        after=MeasuredError.of(mapped, reference),
-        own=_own_scores(raw, mapped, audit, own, config),
+        before=MeasuredError.from_estimates(raw, reference),
+        after=MeasuredError.from_estimates(mapped, reference),
+        own=_own_calibration_scores(raw, mapped, audit, own_calibration, config),
         unscored={WARM_UP: warm_up, GAP: len(audit) - len(recording.window_rows) - warm_up},
     )
 
 
-def _own_scores(
+def _own_calibration_scores(
     raw: Array,
     mapped: Array,
     audit: LabelledRecording,
-    own: NetworkConfig | MeasuredError | None,
+    own_calibration: NetworkConfig | MeasuredError | None,
     config: DecisionConfig,
-) -> OwnScores | None:
+) -> OwnCalibrationScores | None:
     # By time and never at random: a later stretch is what the unit will be used on.
     split = round(len(audit) * 0.75)
     test = audit.part(split, len(audit))
-    error = own if isinstance(own, MeasuredError) else None
-    if isinstance(own, NetworkConfig):
-        error = _own_error(audit.part(0, split), test, own, config.least_own_windows)
+    error = own_calibration if isinstance(own_calibration, MeasuredError) else None
+    if isinstance(own_calibration, NetworkConfig):
+        error = _own_calibration_error(audit.part(0, split), test, own_calibration, config.min_own_windows)
     if error is None:
         return None
     rows = split + test.unlabelled.window_rows
-    before, after = (MeasuredError.of(each[rows], audit.reference[rows]) for each in (raw, mapped))
-    return OwnScores(before, after, error)
+    before, after = (MeasuredError.from_estimates(each[rows], audit.reference[rows]) for each in (raw, mapped))
+    return OwnCalibrationScores(before, after, error)
 
 
-def _own_error(
-    train: LabelledRecording, test: LabelledRecording, config: NetworkConfig, least: int
+def _own_calibration_error(
+    train: LabelledRecording, test: LabelledRecording, config: NetworkConfig, min_windows: int
 ) -> MeasuredError | None:
     try:
-        if len(train.windows) < least:
+        if len(train.windows) < min_windows:
             return None
         trained = fit_network(train, config)
     except (UnitRefused, InputError):
         return None
-    return MeasuredError.of(trained.network.evaluate(test.windows), test.window_reference)
+    return MeasuredError.from_estimates(trained.network.evaluate(test.windows), test.window_reference)

@@ -26,11 +26,11 @@ class StageDifference:
     rms: float
     slow_rms: float
 
-    def beyond(self, floor: "StageDifference") -> "StageDifference":
+    def beyond(self, scatter: "StageDifference") -> "StageDifference":
         """Return what exceeds a floor, in quadrature."""
         return StageDifference(
-            float(np.sqrt(max(self.rms**2 - floor.rms**2, 0.0))),
-            float(np.sqrt(max(self.slow_rms**2 - floor.slow_rms**2, 0.0))),
+            float(np.sqrt(max(self.rms**2 - scatter.rms**2, 0.0))),
+            float(np.sqrt(max(self.slow_rms**2 - scatter.slow_rms**2, 0.0))),
         )
 
 
@@ -42,7 +42,7 @@ class SourceModel:
         interval: 90 % interval that would hold for the source itself.
         rmse_table: (3, LEVELS) RMS error of f on the source, in the cells of the interval.
         held_out_rmse: error of f on the source's windows that never entered a gradient, in the reference unit.
-        stage_floor: its own difference at equal stage histories, None where the stage position is unknown.
+        stage_scatter: its own difference at equal stage histories, None where the stage position is unknown.
         method: the method all of this was computed with; the units of the lot are calibrated with it.
     """
 
@@ -53,7 +53,7 @@ class SourceModel:
     held_out_rmse: float
     shape: WindowShape
     estimate: Array
-    stage_floor: StageDifference | None
+    stage_scatter: StageDifference | None
     method: Method = field(default_factory=Method)
 
     @property
@@ -116,13 +116,13 @@ def source_residuals(
     cells = blank.direction(shape), blank.column(estimate)
     rmse_table = np.sqrt(_tabulate(residual**2, *cells, np.mean, config))
     spread = _tabulate(np.abs(residual), *cells, lambda values: float(np.quantile(values, CONFIDENCE)), config)
-    held_direction, held_column = cells[0][held_out], cells[1][held_out]
+    held_out_direction, held_out_column = cells[0][held_out], cells[1][held_out]
     # Divided by the local spread, so that one quantile serves quiet and noisy bands alike.
-    scores = np.abs(residual[held_out]) / spread[held_direction, held_column]
-    held_rmse = rms(residual[held_out])
-    expected_rmse = rms(rmse_table[held_direction, held_column])
+    scores = np.abs(residual[held_out]) / spread[held_out_direction, held_out_column]
+    held_out_rmse = rms(residual[held_out])
+    expected_rmse = rms(rmse_table[held_out_direction, held_out_column])
     interval = replace(blank, half_width=spread * conformal_quantile(scores))
-    return interval, rmse_table * held_rmse / expected_rmse, held_rmse
+    return interval, rmse_table * held_out_rmse / expected_rmse, held_out_rmse
 
 
 def fit_support(windows: Array, output_mean: float, output_scale: float, config: SourceConfig) -> Support:
@@ -142,9 +142,9 @@ def fit_support(windows: Array, output_mean: float, output_scale: float, config:
     # Cells beside visited ones are familiar too: samples never fill every cell.
     distance = np.maximum(scipy.ndimage.distance_transform_edt(empty, sampling=step) - slack, 0)
     # A factor on a quantile: the maximum of a recording is set by its worst sample.
-    bend_limit = config.tail_factor * float(np.quantile(np.abs(shape.bend), 0.999))
+    curvature_limit = config.tail_factor * float(np.quantile(np.abs(shape.curvature), 0.999))
     roughness_limit = config.tail_factor * float(np.quantile(shape.roughness, 0.999))
-    return Support(output_mean, output_scale, origin, step, distance, bend_limit, roughness_limit)
+    return Support(output_mean, output_scale, origin, step, distance, curvature_limit, roughness_limit)
 
 
 def conformal_quantile(scores: Array) -> float:
@@ -167,17 +167,17 @@ def _tabulate(
     """Return the statistic per direction and band on the (3, LEVELS) grid, sparse cells drawn to their neighbours."""
     bands, prior = config.bands, config.cell_prior
     band = column * bands // LEVELS
-    whole = float(statistic(values))
+    overall = float(statistic(values))
     table = np.empty((len(DIRECTIONS), bands))
     for b in range(bands):
         in_band = band == b
         # From the whole to the band to the cell: a cell with few rows says what its neighbours say.
-        level = _shrunk(values[in_band], whole, statistic, prior)
+        level = _shrunk(values[in_band], overall, statistic, prior)
         for d in range(len(DIRECTIONS)):
             table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic, prior)
     centres = (np.arange(bands) + 0.5) * LEVELS / bands
     # Residuals are divided by the table: no cell of it is 0.
-    table = np.maximum(table, 1e-3 * whole + 1e-12)
+    table = np.maximum(table, 1e-3 * overall + 1e-12)
     return np.stack([np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in table])
 
 

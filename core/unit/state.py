@@ -13,16 +13,16 @@ from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
+from softcal.core.unit.correspondence import Correspondence
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.method import Method
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
 from softcal.core.unit.verdict import (
+    Assessment,
     Decision,
-    Judgement,
     Limit,
     Verdict,
     compare_with_audit,
@@ -91,9 +91,9 @@ class UnitState:
         return self.trim_in_force or self.correction
 
     @property
-    def knowledge(self) -> LoadKnowledge:
+    def correspondence(self) -> Correspondence:
         """How unit and source correspond; known loads of a trim count."""
-        return replace(self.fit.knowledge, is_anchored=True) if self.trim_in_force else self.fit.knowledge
+        return replace(self.fit.correspondence, is_anchored=True) if self.trim_in_force else self.fit.correspondence
 
     @cached_property
     def map_id(self) -> str:
@@ -124,7 +124,7 @@ class UnitState:
         interval = self.measured_interval
         if self.release_in_force is None:
             return interval
-        return replace(interval, half_width=self.release_in_force.widening(interval.half_width))
+        return replace(interval, half_width=self.release_in_force.interval_inflation(interval.half_width))
 
     @property
     def release_in_force(self) -> SampleRelease | None:
@@ -137,12 +137,12 @@ class UnitState:
     @property
     def forecast(self) -> ErrorForecast:
         """Forecast of the error, as audits of other units scale it."""
-        own, release = self.fit.forecast, self.release_in_force
+        unscaled, release = self.fit.forecast, self.release_in_force
         if release is None or release.withdrawn is not None:
-            return own
+            return unscaled
         # Beyond a finite factor nothing is known; the forecast keeps the end it had.
-        upper = own.upper * release.scale if release.factor is None else own.rmse * release.factor
-        return ErrorForecast(own.rmse * release.scale, own.lower * release.scale, upper)
+        upper = unscaled.upper * release.scale if release.factor is None else unscaled.rmse * release.factor
+        return ErrorForecast(unscaled.rmse * release.scale, unscaled.lower * release.scale, upper)
 
     @property
     def predicted_rmse(self) -> float:
@@ -169,37 +169,37 @@ class UnitState:
     def errors(self) -> dict[str, float | None]:
         """Forecast and measured errors in the reference unit, by the names of reports; None where there is none."""
         scores = self.scores
-        own = None if scores is None or scores.own is None else scores.own.own.rmse
+        own_rmse = None if scores is None or scores.own is None else scores.own.own.rmse
         return {
             "predicted_rmse": self.predicted_rmse,
             "before_rmse": None if scores is None else scores.before.rmse,
             "after_rmse": None if scores is None else scores.after.rmse,
-            "own_rmse": own,
+            "own_rmse": own_rmse,
         }
 
     @cached_property
     def blocking_reasons(self) -> tuple[Reason, ...]:
         """What keeps the unit from passing whatever its error is."""
-        trim, audit, said = self.trim, self.audit, list[Reason]()
+        trim, audit, reasons = self.trim, self.audit, list[Reason]()
         is_measured = audit is not None and audit.map_id == self.map_id
         if trim is not None and trim.left_out is not None:
             is_older = audit is None or audit.recording_sha256 == trim.audit_sha256
-            said += [trim.left_out] if trim.is_blocking and is_older else []
+            reasons += [trim.left_out] if trim.is_blocking and is_older else []
         elif trim is not None and not is_measured:
-            said.append(reason("trimmed", loads=len(trim.output), before=trim.before_rmse, after=trim.after_rmse))
+            reasons.append(reason("trimmed", loads=len(trim.output), before=trim.before_rmse, after=trim.after_rmse))
         if audit is not None and not is_measured:
-            said.append(reason("audited_before_trim"))
+            reasons.append(reason("audited_before_trim"))
         unreadable = () if self.unreadable_audit is None else (self.unreadable_audit,)
-        return (*said, *unreadable, *self.fit.blocking_reasons)
+        return (*reasons, *unreadable, *self.fit.blocking_reasons)
 
     @cached_property
-    def _measured(self) -> Judgement | None:
+    def _measured(self) -> Assessment | None:
         if self.audit is None:
             return None
-        judged = compare_with_audit(self.audit.scores, self.limit, self.fit.rule_findings)
+        assessment = compare_with_audit(self.audit.scores, self.limit, self.fit.rule_findings)
         # A measured fail stays: known loads say nothing about what lies between and beyond them.
         is_of_this_map = self.audit.map_id == self.map_id
-        return judged if is_of_this_map or judged.verdict is Verdict.FAIL else None
+        return assessment if is_of_this_map or assessment.verdict is Verdict.FAIL else None
 
     @cached_property
     def decision(self) -> Decision:
@@ -210,7 +210,7 @@ class UnitState:
         return Decision(
             predicted=predicted,
             measured=self._measured,
-            sampled=None if release is None else release.judgement(fit.forecast.rmse, self.limit),
+            sampled=None if release is None else release.assess(fit.forecast.rmse, self.limit),
             blocking_reasons=self.blocking_reasons,
             suspect_audit=self.suspect_audit,
         )

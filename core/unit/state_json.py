@@ -10,16 +10,16 @@ import numpy as np
 
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Arrays
+from softcal.core.unit.correspondence import Correspondence
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.method import Method
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import Interval
 
 Json = dict[str, Any]
 
-_BESIDE = ("method", "knowledge", "fitted", "fit_s")
+_WRITTEN_APART = ("method", "correspondence", "fitted", "fit_s")
 """Fields of a fit that are not written as they are; how long it took is no part of what it is."""
 
 
@@ -33,8 +33,8 @@ class StoredFit:
 
 def fit_to_json(fit: Fit) -> StoredFit:
     """Return a fit as JSON values and arrays."""
-    content = {one.name: _plain(getattr(fit, one.name)) for one in fields(Fit) if one.name not in _BESIDE}
-    content["knowledge"] = {"kind": fit.knowledge.kind, "is_anchored": fit.knowledge.is_anchored}
+    content = {one.name: _plain(getattr(fit, one.name)) for one in fields(Fit) if one.name not in _WRITTEN_APART}
+    content["correspondence"] = {"kind": fit.correspondence.kind, "is_anchored": fit.correspondence.is_anchored}
     if fit.fitted is None:
         return StoredFit(content, {})
     unit_map, interval, limits = fit.fitted.unit_map, fit.fitted.interval, fit.fitted.output_limits
@@ -53,11 +53,13 @@ def fit_from_json(content: Mapping[str, Any], method: Method, arrays: Arrays | N
     Raises:
         ValueError: the content is not what was written.
     """
-    kinds, known = _types(Fit), content["knowledge"]
-    names = [one.name for one in fields(Fit) if one.name not in _BESIDE]
+    kinds, stored = _types(Fit), content["correspondence"]
+    names = [one.name for one in fields(Fit) if one.name not in _WRITTEN_APART]
     values = {name: msgspec.convert(content[name], kinds[name]) for name in names}
-    knowledge = LoadKnowledge(known["kind"], getattr(method.knowledge, known["kind"]), known["is_anchored"])
-    fit = Fit(**values, method=method, knowledge=knowledge)
+    correspondence = Correspondence(
+        stored["kind"], getattr(method.correspondence, stored["kind"]), stored["is_anchored"]
+    )
+    fit = Fit(**values, method=method, correspondence=correspondence)
     return fit if arrays is None else replace(fit, fitted=_fitted(fit.family, content["fitted"], arrays))
 
 
@@ -74,10 +76,10 @@ def part_to_columns(part: Mapping[str, Any], names: Collection[str], prefix: str
     """Return a part of a state as values of columns; a nested value has the name of its field before its own."""
     columns = Json()
     for name, value in part.items():
-        if (whole := f"{prefix}{name}") in names:
-            columns[whole] = value
+        if (column := f"{prefix}{name}") in names:
+            columns[column] = value
         elif value is not None:
-            columns |= part_to_columns(value, names, f"{whole}_")
+            columns |= part_to_columns(value, names, f"{column}_")
     return columns
 
 
@@ -89,10 +91,10 @@ def part_from_columns(field: str, columns: Mapping[str, Any]) -> Json:
 def _nested(kind: type, columns: Mapping[str, Any], prefix: str) -> Json:
     values = Json()
     for name, hint in _types(kind).items():
-        if (whole := f"{prefix}{name}") in columns:
-            values[name] = columns[whole]
+        if (column := f"{prefix}{name}") in columns:
+            values[name] = columns[column]
         else:
-            inner = _nested(_dataclass_in(hint), columns, f"{whole}_")
+            inner = _nested(_dataclass_in(hint), columns, f"{column}_")
             values[name] = None if _is_empty(inner) else inner
     return values
 

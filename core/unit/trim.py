@@ -53,16 +53,16 @@ def trim(
         raise InputError(f"{len(loads.reference)} known load; zero and span take two different ones; {NOTHING}")
     check_loads(source, loads, NOTHING, problem.config.anchors)
     output, load = (np.asarray(values, np.float64) for values in (loads.output, loads.reference))
-    wanted = SourceLevels.of(source, problem.config.anchors).at(load)
+    source_output = SourceLevels.from_source(source, problem.config.anchors).at(load)
     read = unit_map.apply(resting(output)).mean(axis=1)
     # The standard uncertainty of what is read under each load: of the calibration, of f at rest and of the load.
     band = interval.half_width[:, interval.column(load)].max(axis=0)
-    misread = network.evaluate(resting(wanted)) - load
-    known = problem.config.anchors.load_error * float(np.ptp(source.reference))
-    error = np.hypot(np.hypot(band, misread) / NORMAL_90, known)
+    model_error = network.evaluate(resting(source_output)) - load
+    load_error = problem.config.anchors.load_error * float(np.ptp(source.reference))
+    error = np.hypot(np.hypot(band, model_error) / NORMAL_90, load_error)
     first, last = int(np.argmin(load)), int(np.argmax(load))
     # The source's own rise between the outermost loads: outputs in the unit of the loads.
-    rise = (wanted[last] - wanted[first]) / (load[last] - load[first])
+    rise = (source_output[last] - source_output[first]) / (load[last] - load[first])
     apart = abs((read[last] - read[first]) / rise)
     open_ = NORMAL_90 * float(np.hypot(error[first], error[last]))
     if min(apart, load[last] - load[first]) <= open_:
@@ -73,27 +73,27 @@ def trim(
             f"leave open; {NOTHING}; read loads further apart, each at rest"
         )
     # The weighted straight line that carries what is read onto what is wanted.
-    gain, offset = (float(value) for value in np.polyfit(read, wanted, 1, w=1 / error))
+    gain, offset = (float(value) for value in np.polyfit(read, source_output, 1, w=1 / error))
     if abs(gain - 1) > MAX_CHANGE:
         raise InputError(
             f"the loads ask for {gain:.2g} x the gain of unit {problem.target.serial}, {1 - MAX_CHANGE:.2g} to "
             f"{1 + MAX_CHANGE:.2g} was expected; that is another unit, or other units of load or output; "
             f"{NOTHING}; check serial and columns, or calibrate it again"
         )
-    missing = np.abs(wanted - read) / abs(rise)
+    missing = np.abs(source_output - read) / abs(rise)
     if np.all(missing <= error):
         raise NeedlessTrim(
             f"the map reads these loads already: it is off by {missing.max():.3g} {unit} at most, less than the "
             f"{error.max():.3g} {unit} a trim by them is known to; {NOTHING}; no trim is needed"
         )
-    left = (offset + gain * read - wanted) / rise / error
-    worst = int(np.argmax(np.abs(left)))
+    residuals = (offset + gain * read - source_output) / rise / error
+    worst = int(np.argmax(np.abs(residuals)))
     # Twice what nine loads in ten are misread by.
-    most_misfit = 2 * NORMAL_90
-    if abs(left[worst]) > most_misfit:
+    max_misfit = 2 * NORMAL_90
+    if abs(residuals[worst]) > max_misfit:
         raise InputError(
-            f"load {worst + 1} is still misread by {abs(left[worst] * error[worst]):.3g} {unit} after the trim, "
-            f"{most_misfit * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
+            f"load {worst + 1} is still misread by {abs(residuals[worst] * error[worst]):.3g} {unit} after the trim, "
+            f"{max_misfit * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
             f"{NOTHING}; read them again"
         )
     anchored = AnchoredMap(unit_map, gain, offset)
@@ -105,7 +105,7 @@ def trim(
         )
     design = np.stack([np.ones_like(load), load], axis=1) / error[:, None]
     # Loads that do not fit a straight line know neither number better than they fit.
-    spread = max(1.0, rms(left))
+    spread = max(1.0, rms(residuals))
     covariance = np.asarray(np.linalg.inv(design.T @ design) * spread**2, np.float64)
     (zero, both), (_, slope) = covariance
     return Trim(
@@ -120,7 +120,7 @@ def trim(
     )
 
 
-def as_given_now(recording: OutputRecording, before: UnitMap, after: UnitMap) -> OutputRecording:
+def as_trimmed(recording: OutputRecording, before: UnitMap, after: UnitMap) -> OutputRecording:
     """Return a recording as the unit would give it since the trim: mapped by `after` where `before` had mapped it.
 
     What is derived from a recording (ranges, clamps, self-tests of a device file) is then of the unit as it is now.

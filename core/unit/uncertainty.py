@@ -39,13 +39,13 @@ class WindowShape:
 
     Args:
         slope: (n,) linear part, positive when the newest samples are the highest.
-        bend: (n,) quadratic part.
+        curvature: (n,) quadratic part.
         roughness: (n,) what neither explains: noise, steps, fast dynamics.
     """
 
     level: Array
     slope: Array
-    bend: Array
+    curvature: Array
     roughness: Array
 
 
@@ -57,7 +57,7 @@ class Support:
         output_mean, output_scale: standardise windows in the source's space, as the network does.
         origin, step: (2,) lower edge and cell size of the grid over (level, slope).
         distance_grid: (levels, slopes) distance of each cell to the nearest visited one; 0 where visited.
-        bend_limit, roughness_limit: largest familiar values.
+        curvature_limit, roughness_limit: largest familiar values.
     """
 
     output_mean: float
@@ -65,21 +65,21 @@ class Support:
     origin: Array
     step: Array
     distance_grid: Array
-    bend_limit: float
+    curvature_limit: float
     roughness_limit: float
 
     def shape(self, windows: Array) -> WindowShape:
         """Describe (n, TAPS) windows in the source's space, newest sample last."""
-        level, slope, bend, roughness = (np.empty(len(windows)) for _ in range(4))
+        level, slope, curvature, roughness = (np.empty(len(windows)) for _ in range(4))
         for start in range(0, len(windows), CHUNK):
             rows = slice(start, start + CHUNK)
             z = ((windows[rows] - self.output_mean) / self.output_scale).astype(np.float32)
             parts = z @ BASIS.astype(np.float32)
-            level[rows], slope[rows], bend[rows] = parts.T
+            level[rows], slope[rows], curvature[rows] = parts.T
             # Pythagoras instead of the residual itself: no second (n, TAPS) array is made.
-            left = np.einsum("ij,ij->i", z, z) / TAPS - np.einsum("ij,ij->i", parts, parts)
-            roughness[rows] = np.sqrt(np.maximum(left, 0))
-        return WindowShape(level, slope, bend, roughness)
+            residual = np.einsum("ij,ij->i", z, z) / TAPS - np.einsum("ij,ij->i", parts, parts)
+            roughness[rows] = np.sqrt(np.maximum(residual, 0))
+        return WindowShape(level, slope, curvature, roughness)
 
     def distance(self, shape: WindowShape) -> Array:
         """Return how far each window lies outside the source's support, in the units of `WindowShape`; 0 inside."""
@@ -89,7 +89,7 @@ class Support:
             self.distance_grid[row, column],
             beyond_level,
             beyond_slope,
-            np.maximum(np.abs(shape.bend) - self.bend_limit, 0),
+            np.maximum(np.abs(shape.curvature) - self.curvature_limit, 0),
             np.maximum(shape.roughness - self.roughness_limit, 0),
         )
         return np.sqrt(sum((part * part for part in parts), start=np.zeros(len(shape.level))))
@@ -169,7 +169,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Widening:
+class IntervalInflation:
     """What becomes of an interval's half-width h, in the reference unit: sqrt((scale h)^2 + added^2)."""
 
     scale: float = 1.0

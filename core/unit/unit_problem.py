@@ -12,8 +12,8 @@ from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import rms
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
+from softcal.core.unit.day_correction import DayCorrection
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.lot_fit import LotMap
 from softcal.core.unit.measured_error import MeasuredError
@@ -36,8 +36,8 @@ class UnitProblem:
             trains none.
         line: how differently the line presses units, where somebody stated it.
         reference: what the source was compared with; None where nobody said, and nothing is traced to it.
-        bridge: the source unit pressed again in the sitting of this unit, where somebody did.
-        beside: networks of the lot's other sources, which the unit was compared with (`nearest`).
+        day_correction: the source unit pressed again in the sitting of this unit, where somebody did.
+        other_networks: networks of the lot's other sources, which the unit was compared with (`nearest`).
         rules: identities of the rules of other packages that may hold the unit back; those installed here by default.
         unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
         lot_map: what the fit of its lot gives it; None where it is mapped by itself.
@@ -48,11 +48,11 @@ class UnitProblem:
     limit: Limit | None = None
     anchors: Anchors | None = None
     audit: LabelledRecording | None = None
-    own: NetworkConfig | MeasuredError | None = None
+    own_calibration: NetworkConfig | MeasuredError | None = None
     line: LineSpread | None = None
     reference: Reference | None = None
-    bridge: Bridge | None = None
-    beside: tuple[str, ...] = ()
+    day_correction: DayCorrection | None = None
+    other_networks: tuple[str, ...] = ()
     rules: tuple[str, ...] = field(default_factory=rules_in_force)
     unread_audit: str = ""
     lot_map: LotMap | None = None
@@ -69,9 +69,9 @@ class UnitProblem:
                 "method": self.source.method.id,
                 "anchors": None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()],
                 "line": self.line and vars(self.line),
-                "golden": self.bridge and self.bridge.sha256,
+                "golden": self.day_correction and self.day_correction.sha256,
                 "reference": self.reference and self.reference.to_json(),
-                "other_networks": sorted(self.beside),
+                "other_networks": sorted(self.other_networks),
                 "lot_fit": self.lot_map and [self.lot_map.sha256, vars(self.lot_map.part)],
                 # Rules look at the limit and at what was measured.
                 "rules": [*sorted(self.rules), *self._decided_by] if self.rules else [],
@@ -82,8 +82,8 @@ class UnitProblem:
     def input_sha256(self) -> str:
         """Content hash of everything that the unit's state depends on: equal input, equal state."""
         # Without an audit no own calibration is trained, whatever was asked.
-        own = None if self.audit is None or self.own is None else asdict(self.own)
-        return content_sha256({}, {"fit": self.fit_id, "decided_by": self._decided_by, "own": own})
+        own_calibration = None if self.audit is None or self.own_calibration is None else asdict(self.own_calibration)
+        return content_sha256({}, {"fit": self.fit_id, "decided_by": self._decided_by, "own": own_calibration})
 
     @property
     def _decided_by(self) -> list[object]:
@@ -93,21 +93,25 @@ class UnitProblem:
     @cached_property
     def fit(self) -> FitProblem:
         """What the map is fitted to: the golden run where the unit shares its loads in time, else the source."""
-        if self._bridged is not None and self._bridged.synchrony.is_synchronous:
-            return self._bridged
-        return self._beside(self.source.source)
+        if self._golden_problem is not None and self._golden_problem.synchrony.is_synchronous:
+            return self._golden_problem
+        return self._problem_of(self.source.source)
 
     @cached_property
-    def _bridged(self) -> FitProblem | None:
-        return None if self.bridge is None else self._beside(self.bridge.golden)
+    def _golden_problem(self) -> FitProblem | None:
+        return None if self.day_correction is None else self._problem_of(self.day_correction.golden)
 
-    def _beside(self, known: LabelledRecording) -> FitProblem:
-        return FitProblem(known, self.source.network, self.recording, self.anchors, self.source.method.map)
+    def _problem_of(self, source: LabelledRecording) -> FitProblem:
+        return FitProblem(source, self.source.network, self.recording, self.anchors, self.source.method.map)
 
     @property
-    def crossed(self) -> Bridge | None:
-        """The bridge that the map is fitted over; None where it is fitted to the source's recording."""
-        return self.bridge if self.bridge is not None and self.fit.source is self.bridge.golden else None
+    def applied_day_correction(self) -> DayCorrection | None:
+        """The day correction that the map is fitted with; None where it is fitted to the source's recording."""
+        return (
+            self.day_correction
+            if self.day_correction is not None and self.fit.source is self.day_correction.golden
+            else None
+        )
 
     @cached_property
     def limit_in_force(self) -> Limit:
@@ -133,7 +137,7 @@ class UnitProblem:
     def blocking_reasons(self) -> tuple[Reason, ...]:
         """Return what keeps the unit from passing whatever its error is."""
         highest = float(self.source.source.reference.max())
-        return () if self.reference is None else self.reference.bars(highest)
+        return () if self.reference is None else self.reference.blocking_reasons(highest)
 
     @property
     def unreadable_audit(self) -> Reason | None:
@@ -145,15 +149,15 @@ class UnitProblem:
         config, line = self.source.method.line, self.line
         is_stated = line is not None and line.load is not None, line is not None and line.day is not None
         open_share = float(np.hypot(*np.where(is_stated, 0.0, [config.load_spread, config.day_spread])))
-        said, unit = list[Reason](), self.source.source.reference_unit
+        reasons, unit = list[Reason](), self.source.source.reference_unit
         # A stated spread is in the forecast already; beside it stands the method's default of what nobody stated.
         if line is not None:
-            between, rmse = _between(*is_stated), line.share * load_rms
-            said.append(reason("line.stated", between=between, share=line.share, rmse=rmse, unit=unit))
+            compared, rmse = _compared(*is_stated), line.share * load_rms
+            reasons.append(reason("line.stated", between=compared, share=line.share, rmse=rmse, unit=unit))
         if not all(is_stated):
-            between, rmse = _between(*(not one for one in is_stated)), open_share * load_rms
-            said.append(reason("line.open", between=between, share=open_share, rmse=rmse, unit=unit))
-        return tuple(said)
+            compared, rmse = _compared(*(not one for one in is_stated)), open_share * load_rms
+            reasons.append(reason("line.open", between=compared, share=open_share, rmse=rmse, unit=unit))
+        return tuple(reasons)
 
     def lot_fit_reasons(self) -> tuple[Reason, ...]:
         """Say which fit of the lot the map comes from; nothing where the unit is mapped by itself."""
@@ -162,20 +166,22 @@ class UnitProblem:
         part, unit = vars(self.lot_map.part), self.source.source.reference_unit
         return (reason("lot_fit.member", unit=unit, **{name: part[name] for name in LOT_FIT_NUMBERS}),)
 
-    def bridge_reasons(self) -> tuple[Reason, ...]:
+    def day_correction_reasons(self) -> tuple[Reason, ...]:
         """Say what the golden run is worth to the unit; nothing where there is none."""
-        if self.bridge is None or self._bridged is None:
+        if self.day_correction is None or self._golden_problem is None:
             return ()
-        if self.crossed is None:
-            return (reason("bridge.unused", correlation=self._bridged.synchrony.rank_correlation),)
-        if self.bridge.golden.serial != self.source.source.serial:
-            return (reason("bridge.unit", serial=self.bridge.golden.serial),)
-        if not self.bridge.is_measured:
+        if self.applied_day_correction is None:
+            return (reason("bridge.unused", correlation=self._golden_problem.synchrony.rank_correlation),)
+        if self.day_correction.golden.serial != self.source.source.serial:
+            return (reason("bridge.unit", serial=self.day_correction.golden.serial),)
+        if not self.day_correction.is_measured:
             return (reason("bridge.read"),)
-        return (reason("bridge.measured", day=self.bridge.day_rmse, unit=self.bridge.golden.reference_unit),)
+        return (
+            reason("bridge.measured", day=self.day_correction.day_rmse, unit=self.day_correction.golden.reference_unit),
+        )
 
 
-def _between(is_load: bool, is_day: bool) -> Reason:
+def _compared(is_load: bool, is_day: bool) -> Reason:
     """Say between what a line differs: units, days, or both."""
     if is_load and is_day:
         return reason("part.units_and_days")

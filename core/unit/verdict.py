@@ -148,7 +148,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Assessment:
     """What one error, forecast or measured, says together with what was found."""
 
     verdict: Verdict
@@ -167,9 +167,9 @@ class Decision:
         suspect_audit: why its audit may not be of this unit: nothing is decided before that is known.
     """
 
-    predicted: Judgement
-    measured: Judgement | None = None
-    sampled: Judgement | None = None
+    predicted: Assessment
+    measured: Assessment | None = None
+    sampled: Assessment | None = None
     blocking_reasons: tuple[Reason, ...] = ()
     suspect_audit: Reason | None = None
 
@@ -177,9 +177,9 @@ class Decision:
     def verdict(self) -> Verdict:
         if self.suspect_audit is not None:
             return Verdict.RETEST
-        known = self.measured or self.sampled
-        best = Verdict.CONDITIONAL if known is None or self.blocking_reasons else Verdict.PASS
-        return worst_of([(known or self.predicted).verdict, best])
+        assessed = self.measured or self.sampled
+        best = Verdict.CONDITIONAL if assessed is None or self.blocking_reasons else Verdict.PASS
+        return worst_of([(assessed or self.predicted).verdict, best])
 
     @property
     def is_audited(self) -> bool:
@@ -190,13 +190,13 @@ class Decision:
     def reasons(self) -> tuple[Reason, ...]:
         """Why, most important first; where an audit changed the word, what was predicted stands behind it."""
         if self.suspect_audit is not None:
-            return (self.suspect_audit, *self._found, *self.blocking_reasons)
+            return (self.suspect_audit, *self._assessment_reasons, *self.blocking_reasons)
         if self.verdict.severity > Verdict.CONDITIONAL.severity:
-            return (*self._found, *self.blocking_reasons)
-        return (*self.blocking_reasons, *self._found)
+            return (*self._assessment_reasons, *self.blocking_reasons)
+        return (*self.blocking_reasons, *self._assessment_reasons)
 
     @property
-    def _found(self) -> tuple[Reason, ...]:
+    def _assessment_reasons(self) -> tuple[Reason, ...]:
         if self.measured is None and self.sampled is not None:
             return (*self.sampled.reasons, *self.predicted.reasons)
         if self.measured is None and self.predicted.verdict is Verdict.PASS:
@@ -205,8 +205,8 @@ class Decision:
             return (*self.predicted.reasons, reason("forecast_only"))
         if self.measured is None or self.measured.verdict == self.predicted.verdict:
             return (self.measured or self.predicted).reasons
-        why = self.predicted.reasons[0]
-        overruled = reason("predicted_otherwise", verdict=str(self.predicted.verdict), why=why)
+        cause = self.predicted.reasons[0]
+        overruled = reason("predicted_otherwise", verdict=str(self.predicted.verdict), why=cause)
         return (*self.measured.reasons, overruled)
 
 
@@ -235,27 +235,30 @@ def statement(error: ErrorForecast, limit: Limit) -> str:
 
 def compare_with_limit(
     error: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = (), source: str = "predicted"
-) -> Judgement:
+) -> Assessment:
     """Combine an error, `predicted` or `measured`, with what was found; the worse of the words stands.
 
     Nothing passes by a limit that nobody stated.
     """
     relation, stated = _STATED[statement(error, limit)]
     ordered = sorted(findings, key=lambda finding: -finding.best.severity)
-    seen, bounds = [finding.reason for finding in ordered], [finding.best for finding in findings]
+    reasons, bounds = [finding.reason for finding in ordered], [finding.best for finding in findings]
     numbers: dict[str, Value] = {"source": Reason(f"part.{source}"), **vars(error), "unit": limit.unit}
     if not limit.is_stated and stated is not Verdict.FAIL:
-        said = reason("no_limit", share=error.rmse / (limit.full_range or np.nan), **numbers)
-        return Judgement(worst_of([Verdict.CONDITIONAL, *bounds]), (*seen, said))
+        limit_reason = reason("no_limit", share=error.rmse / (limit.full_range or np.nan), **numbers)
+        return Assessment(worst_of([Verdict.CONDITIONAL, *bounds]), (*reasons, limit_reason))
     numbers |= {"relation": Reason(relation), "limit": limit.maximum_rmse, "origin": limit.origin}
-    said, word = reason("statement", **numbers), worst_of([stated, *bounds])
+    limit_reason, verdict = reason("statement", **numbers), worst_of([stated, *bounds])
     # An error beyond the limit is the first thing to say; else what was found is.
     if limit.acceptance_rmse < error.upper <= limit.maximum_rmse:
-        seen.append(reason("reference_uncertain", expanded=limit.reference_expanded or 0.0, unit=limit.unit))
-    return Judgement(word, (said, *seen) if stated is Verdict.FAIL and word is Verdict.FAIL else (*seen, said))
+        reasons.append(reason("reference_uncertain", expanded=limit.reference_expanded or 0.0, unit=limit.unit))
+    return Assessment(
+        verdict,
+        (limit_reason, *reasons) if stated is Verdict.FAIL and verdict is Verdict.FAIL else (*reasons, limit_reason),
+    )
 
 
-def compare_with_audit(scores: Scores, limit: Limit, findings: tuple[Finding, ...] = ()) -> Judgement:
+def compare_with_audit(scores: Scores, limit: Limit, findings: tuple[Finding, ...] = ()) -> Assessment:
     """Decide on a unit by what its audit showed of f before and after its map, in the limit's unit."""
     before, after = scores.before.rmse, scores.after.rmse
     harm = reason("harmful", after=after, before=before, unit=limit.unit)

@@ -31,7 +31,7 @@ SELECT_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network
 SELECT_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))
 SELECT_FIT = select(fits.c.sha256).where(fits.c.lot_id == bindparam("lot"), fits.c.sha256 == bindparam("fit"))
 
-KNOWN_PARTS = {
+STORED_PARTS = {
     field: select(table.c.sha256).where(table.c.lot_id == bindparam("lot"), table.c.sha256 == bindparam("part"))
     for field, table in STATE_PARTS.items()
 }
@@ -142,7 +142,7 @@ class CalibrationTables(InUseTable):
             sha256 = columns[f"{field}_sha256"] = None if part is None else content_sha256({}, part)
             if sha256 is None or (table.name, lot_id, sha256) in self.database.cache.parts:
                 continue
-            if self.database.row(KNOWN_PARTS[field], {"lot": lot_id, "part": sha256}) is None:
+            if self.database.row(STORED_PARTS[field], {"lot": lot_id, "part": sha256}) is None:
                 values = {column.name: None for column in table.columns} | part_to_columns(part, table.c.keys())
                 self._store(table, values | {"lot_id": lot_id, "sha256": sha256}, "add", actor)
             self.database.cache.parts.add((table.name, lot_id, sha256))

@@ -246,11 +246,11 @@ class LimitInForce:
     rmse: float | None
     unit: str
 
-    def stale_reason(self, judged_limit: float) -> Reason:
+    def stale_reason(self, decided_limit: float) -> Reason:
         """Return the reason why a verdict against another limit is no longer valid."""
         if self.rmse is None:
-            return reason(LIMIT_IS_WITHDRAWN, judged=judged_limit, unit=self.unit)
-        return reason(LIMIT_IS_OTHER, judged=judged_limit, limit=self.rmse, unit=self.unit)
+            return reason(LIMIT_IS_WITHDRAWN, judged=decided_limit, unit=self.unit)
+        return reason(LIMIT_IS_OTHER, judged=decided_limit, limit=self.rmse, unit=self.unit)
 
 
 def newest_limit(database: Database, lot_id: str) -> LimitEntry | None:
@@ -303,6 +303,6 @@ def _is_of_this_version(numbers: Any) -> bool:
     # Whoever lists units needs none of the numerics behind the families.
     from softcal.core.unit.method import Method
 
-    ours = Method().to_json()
-    family = {**ours["map"], "family": numbers["map"]["family"]}  # type: ignore[dict-item]
-    return canonical_json({**ours, "map": family}) == canonical_json(numbers)
+    current = Method().to_json()
+    family = {**current["map"], "family": numbers["map"]["family"]}  # type: ignore[dict-item]
+    return canonical_json({**current, "map": family}) == canonical_json(numbers)

@@ -180,30 +180,30 @@ class LotPages(RegistryBase):
         """Return the count of a lot's target units by verdict; `none` counts those without."""
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StatusQuery(self.database, lot_id, role="target")
-            query = select(standing.table.c.verdict, func.count()).group_by(standing.table.c.verdict)
-            counts = {str(v or "none"): int(n) for v, n in self.database.tuples(query, standing.values)}
+            statuses = StatusQuery(self.database, lot_id, role="target")
+            query = select(statuses.table.c.verdict, func.count()).group_by(statuses.table.c.verdict)
+            counts = {str(v or "none"): int(n) for v, n in self.database.tuples(query, statuses.values)}
         return {name: counts.get(name, 0) for name in (*_severities(), "none")}
 
     def audited_count(self, lot_id: str) -> int:
         """Return how many target units of a lot have an error that was measured, and an audit that is not set aside."""
         with self.database.reading():
-            standing = StatusQuery(self.database, lot_id, role="target")
-            table = standing.table
+            statuses = StatusQuery(self.database, lot_id, role="target")
+            table = statuses.table
             measured = and_(table.c.after_rmse.is_not(None), ~table.c.is_suspect)
-            return int(self.database.value(select(func.count()).select_from(table).where(measured), standing.values))
+            return int(self.database.value(select(func.count()).select_from(table).where(measured), statuses.values))
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StatusQuery(self.database, lot_id, role="target")
-            table = standing.table
+            statuses = StatusQuery(self.database, lot_id, role="target")
+            table = statuses.table
             predicted, *audited = (table.c[name] for name in UNIT_ERRORS)
             measured = [case((table.c.is_suspect, None), else_=error) for error in audited]
             query = select(table.c.revision, table.c.serial, table.c.verdict, predicted, *measured)
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
-            rows = self.database.tuples(query.order_by(table.c.serial), standing.values)
+            rows = self.database.tuples(query.order_by(table.c.serial), statuses.values)
             return [UnitErrors(*row) for revision, *row in rows if revision is not None]
 
     def change_marker(self, lot_id: str) -> str:
@@ -225,15 +225,15 @@ class StatusQuery:
         # For these two registries put different maps into use. A verdict against another limit does not stand.
         undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
         self.limit = limit_in_force(database, lot_id)
-        self.table = _standing_table(serials is not None, role is not None, self.limit.rmse is not None)
-        given_values = {"serials": serials, "role": role, "limit": self.limit.rmse}
+        self.table = _status_table(serials is not None, role is not None, self.limit.rmse is not None)
+        bound_values = {"serials": serials, "role": role, "limit": self.limit.rmse}
         self.values: dict[str, Any] = {
             "standing_lot": lot_id,
             "standing_lot_again": lot_id,
             # Nothing is named "". Without members IN and NOT IN are written otherwise, and one would stand for both.
             "standing_undecided": [*undecided, ""],
             "standing_methods": [*ids_of_this_method(database), ""],
-            **{f"standing_{name}": value for name, value in given_values.items() if value is not None},
+            **{f"standing_{name}": value for name, value in bound_values.items() if value is not None},
         }
 
     def entry(self, row: sa.RowMapping) -> UnitEntry:
@@ -272,7 +272,7 @@ def units_with_status(
 
 
 @cache
-def _standing_table(has_serials: bool, has_role: bool, is_limited: bool) -> sa.Subquery:
+def _status_table(has_serials: bool, has_role: bool, is_limited: bool) -> sa.Subquery:
     """Return every unit beside its map in use and its newest verdict, or a later refusal's.
 
     Built once: that takes longer than to ask it. The newest row of a unit is found through the index of the table; a

@@ -51,8 +51,8 @@ def read_parts(database: Database, rows: Sequence[sa.RowMapping]) -> StoredParts
 
     read = dict[tuple[str, str, str], Mapping[str, Any]]()
     for field, table in STATE_PARTS.items():
-        named = {(row["lot_id"], row[f"{field}_sha256"]) for row in rows if row[f"{field}_sha256"] is not None}
-        for some in parts(sorted(named)):
+        keys = {(row["lot_id"], row[f"{field}_sha256"]) for row in rows if row[f"{field}_sha256"] is not None}
+        for some in parts(sorted(keys)):
             query = select(table).where(sa.tuple_(table.c.lot_id, table.c.sha256).in_(some))
             for row in database.rows(query):
                 part = part_from_columns(field, dict(row))
@@ -67,13 +67,15 @@ def read_parts(database: Database, rows: Sequence[sa.RowMapping]) -> StoredParts
 def _fits_of(
     database: Database, rows: Sequence[sa.RowMapping]
 ) -> Mapping[tuple[str, str], tuple[sa.RowMapping, Method]]:
-    wanted = sorted({(row["lot_id"], row["fit_sha256"]) for row in rows})
-    found: list[sa.RowMapping] = []
-    for part in parts(wanted):
-        found += database.rows(select(fits).where(sa.tuple_(fits.c.lot_id, fits.c.sha256).in_(part)))
-    of_method = {id_: canonical_json(kept) for id_, kept in database.tuples(select(methods.c.id, methods.c.numbers))}
+    keys = sorted({(row["lot_id"], row["fit_sha256"]) for row in rows})
+    fit_rows: list[sa.RowMapping] = []
+    for part in parts(keys):
+        fit_rows += database.rows(select(fits).where(sa.tuple_(fits.c.lot_id, fits.c.sha256).in_(part)))
+    of_method = {
+        id_: canonical_json(numbers) for id_, numbers in database.tuples(select(methods.c.id, methods.c.numbers))
+    }
     read = {}
-    for row in found:
+    for row in fit_rows:
         if content_sha256({}, {"content": row["content"], "blob": row["blob_sha256"]}) != row["sha256"]:
             raise damage_error(f"unit {row['serial']} of lot {row['lot_id']}: its fit is not what was stored")
         method = _method(row["method_id"], of_method.get(row["method_id"], "null"))

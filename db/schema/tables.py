@@ -65,8 +65,8 @@ def declaration_table(name: str, key: dict[str, Any], *values: Sequence[Column[A
 def listed(parent: Table, name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> Table:
     """Return a table of what one declaration lists, under its key and one of their own."""
     above = {column.name: column.type for column in parent.primary_key}
-    named = [f"{parent.name}.{column}" for column in above]
-    return table(name, *keys(**above, **key), *chain(*values), sa.ForeignKeyConstraint([*above], named))
+    parent_columns = [f"{parent.name}.{column}" for column in above]
+    return table(name, *keys(**above, **key), *chain(*values), sa.ForeignKeyConstraint([*above], parent_columns))
 
 
 def numbered_table(name: str, number: str, *values: Sequence[Column[Any]]) -> Table:
@@ -166,7 +166,7 @@ corrections = part_of_states(
 sample_releases = part_of_states(
     "sample_releases",
     required(number=Integer, limit_rmse=Double, is_released=sa.Boolean, scale=Double),
-    required(widening_scale=Double, widening_added=Double, day_rmse=Double, audits=CanonicalJson),
+    required(interval_inflation_scale=Double, interval_inflation_added=Double, day_rmse=Double, audits=CanonicalJson),
     required(risk=Double, confidence=Double, sitting=Text),
     optional(factor=Double, withdrawn=CanonicalJson),
 )

@@ -74,4 +74,4 @@ if __name__ == "__main__":
 
     found = diagnose_simulator(problem().simulator, problem().runs)
     likely = [(c.effect, c.parameters["change"]) for c in found.causes if c.probability > 0.5]
-    print(found.verdict, likely, found.shrink)
+    print(found.verdict, likely, found.explained_fraction)

@@ -17,9 +17,9 @@ class RestBand:
     name: str = "rest band"
     version: str = "1"
 
-    def look(self, facts: RuleInput) -> Iterator[Objection]:
+    def look(self, rule_input: RuleInput) -> Iterator[Objection]:
         """Object where the median output under the least twentieth of the loads lies outside the band."""
-        recording, estimate = facts.recording, facts.estimate
+        recording, estimate = rule_input.recording, rule_input.estimate
         last = recording.windows[:, -1]
         rest = float(np.median(last[estimate <= np.quantile(estimate, 0.05)]))
         if not self.lowest <= rest <= self.highest:

@@ -441,10 +441,8 @@ def show(open_page, monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
     """`show(url, page, role="engineer", **query)` draws one page alone."""
 
     def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
-        imports = (
-            f"from softcal.app.ui.app_pages import {page}\nfrom softcal.app.ui.presentation import errors_in_words\n"
-        )
-        source = f"{imports}with errors_in_words():\n    {page}.render()\n"
+        imports = f"from softcal.app.ui.app_pages import {page}\nfrom softcal.app.ui.presentation import show_errors\n"
+        source = f"{imports}with show_errors():\n    {page}.render()\n"
         monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
         return open_page(url, lambda: None, role=role, **query)
 

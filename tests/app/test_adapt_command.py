@@ -237,7 +237,7 @@ def test_the_method_is_named_in_the_report(bench: Path, stream: Path, tmp_path: 
 
     report = json.loads((tmp_path / "out.json").read_text())
     assert report["method"]["id"] == DriftTracking().id
-    assert DriftTracking.of(report["method"]["numbers"]) == DriftTracking()
+    assert DriftTracking.from_json(report["method"]["numbers"]) == DriftTracking()
 
 
 @pytest.mark.parametrize("mode", QUEUES)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
+from softcal.app.batch.engine import EngineChoice, WorkerFailure, run_all
 from softcal.core.errors import InputError
 
 
@@ -94,8 +94,8 @@ def test_a_killed_worker_loses_nothing(tmp_path: Path) -> None:
 
 def test_an_item_that_always_kills_its_worker_is_given_up_alone() -> None:
     results = list(run_all(EngineChoice(jobs=2), _always_die, None, range(6)))
-    assert [r.item for r in results if isinstance(r, WorkerLost)] == [3]
-    assert sorted(r for r in results if not isinstance(r, WorkerLost)) == [0, 1, 2, 4, 5]
+    assert [r.item for r in results if isinstance(r, WorkerFailure)] == [3]
+    assert sorted(r for r in results if not isinstance(r, WorkerFailure)) == [0, 1, 2, 4, 5]
 
 
 def test_an_error_of_the_work_reaches_the_caller() -> None:

@@ -149,7 +149,7 @@ NOBODY = {"reference": None}
 def expired(facts: Certificate) -> Certificate:
     """The same unit, compared with a load cell whose certificate had ended."""
     cell = replace(CELL, used_on=date(2029, 1, 1))
-    bars = tuple(map(str, cell.bars(facts.high)))
+    bars = tuple(map(str, cell.blocking_reasons(facts.high)))
     return replace(facts, reference=cell, blocking_reasons=bars, verdict="conditional", reasons=bars)
 
 

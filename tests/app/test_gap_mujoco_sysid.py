@@ -55,7 +55,7 @@ def test_what_both_fit_agrees_within_both_intervals(slide: Any, capsys: pytest.C
     ours_s = time.process_time() - began
     at_best, _, _ = residual(fitted.as_vector(), fitted.copy())
     _, half = sysid.calculate_intervals([np.concatenate([r.ravel() for r in at_best])], result.jac, alpha=0.10)
-    values = found.model.simulator.named(found.best.hypothesis, found.best.coordinates)
+    values = found.model.simulator.parameter_values(found.best.hypothesis, found.best.coordinates)
     names = [p.name for p in found.best.hypothesis.parameters]
     spread = dict(zip(names, np.sqrt(np.diag(found.best.covariance)), strict=True))
     ours = {name: values.get(name, values.get(f"{name}.change")) for name in ("mass_kg", "damping", "dry_friction_N")}

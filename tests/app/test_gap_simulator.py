@@ -196,7 +196,7 @@ def test_scaling_a_channel_changes_no_answer() -> None:
     small = [recorded(scaled, r.name, dict(r.columns) | {"place_mm": 1e-3 * r.columns["place_mm"]}) for r in runs]
     one, other = diagnose_simulator(LINE, runs), diagnose_simulator(scaled, small)
     assert one.verdict == other.verdict == "explained" and one.causes[0].effect == other.causes[0].effect == "drift"
-    assert one.shrink.held_out == pytest.approx(other.shrink.held_out, abs=1e-4)
+    assert one.explained_fraction.held_out == pytest.approx(other.explained_fraction.held_out, abs=1e-4)
     assert [c.probability for c in one.causes] == pytest.approx([c.probability for c in other.causes], abs=1e-3)
 
 

@@ -39,15 +39,15 @@ def test_loads_are_looked_at_taken_and_used(calibrated, lot_folder, show, jobs_a
     why = {row.iloc[0]: row.iloc[-1] for _, row in screen.table[-1].value.iterrows()}
     assert set(why) == {"A2", "A3"} and why["A2"] != why["A3"]
     with open_registry(calibrated) as registry:
-        assert not registry.calibrations.get("A1", lot_id="small").state.knowledge.is_anchored
+        assert not registry.calibrations.get("A1", lot_id="small").state.correspondence.is_anchored
     next(one for one in screen.button if one.key == "known-loads-take").click().run(timeout=300)
     assert not screen.exception and not screen.error, [one.value for one in screen.error]
     with open_registry(calibrated) as registry:
         made = registry.calibrations.get("A1", lot_id="small")
         (kept,) = known_loads(registry, "small").values()
-        assert made.state.knowledge.is_anchored and made.state.fit.recording_sha256 == kept.recording_sha256
+        assert made.state.correspondence.is_anchored and made.state.fit.recording_sha256 == kept.recording_sha256
         assert (kept.serial, kept.actor, kept.where) == ("A1", "Erin", "page")
-        assert not registry.calibrations.get("A2", lot_id="small").state.knowledge.is_anchored
+        assert not registry.calibrations.get("A2", lot_id="small").state.correspondence.is_anchored
     shown = show(calibrated, "lot", tab="known_loads", lot="small").table[0].value
     assert list(shown.iloc[0])[:2] == ["[A1](unit?unit=small%2FA1)", "0, 2"]
 

@@ -10,7 +10,7 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.unit.budget import SIMULATED, Standing
+from softcal.core.unit.budget import SIMULATED, Traceability
 
 GOOD = 'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "x"\n[output]\nunit = "V"\n'
 
@@ -92,7 +92,7 @@ def test_what_the_source_was_compared_with_is_read_and_written(lot_folder: Path)
     found = open_lot_folder(lot_folder)
     assert not found.remarks and found.reference is not None
     assert (found.reference.cell, found.reference.uncertainty, found.reference.temperature_K) == ("LC-7", 0.012, 3.0)
-    assert found.reference.standing is Standing.VALID
+    assert found.reference.traceability is Traceability.VALID
     for reference in (found.reference, SIMULATED, None):
         write_lot_toml(lot_folder, found.lot, reference)
         assert open_lot_folder(lot_folder).reference == reference

@@ -15,7 +15,7 @@ from softcal.app.line.rig import station_reference
 from softcal.app.registry.reference import declare_reference, lot_reference, reference_expanded
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind
-from softcal.core.unit.budget import SIMULATED, Reference, Standing
+from softcal.core.unit.budget import SIMULATED, Reference, Traceability
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
@@ -65,11 +65,11 @@ def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path
         assert reference_expanded(registry, "small") == 0.0
         named = declare_reference(registry, "small", Reference(cell="LC-7"), recording)
         (source,) = registry.recordings.of_lot("small", kind="source")
-        assert named is not None and named.standing is Standing.MISSING
+        assert named is not None and named.traceability is Traceability.MISSING
         assert named.used_on == source.added_at.date()
         registry.stations.add_certificate(replace(CELL, issued_on=date(2020, 1, 1), due_on=date(2021, 1, 1)))
         late = declare_reference(registry, "small", Reference(cell="LC-7"), recording)
-        assert late is not None and late.standing is Standing.EXPIRED
+        assert late is not None and late.traceability is Traceability.EXPIRED
         declare_reference(registry, "small", Reference(cell="LC-7"), recording)
         load = float(np.sqrt(np.mean(recording.reference**2)))
         assert reference_expanded(registry, "small") == pytest.approx(late.expanded(load))
@@ -90,7 +90,11 @@ def test_a_source_pressed_on_a_station_is_traced_to_its_load_cell(lot_folder: Pa
         run_store = RunStore(registry, "s1", small, reference=Reference(cell="LC-7"))
         run_store.store(Order("o1", "s1", OrderKind.SOURCE, "A0", "L1"), run, lambda progress: None)
         found = lot_reference(registry, "L1")
-    assert found is not None and (found.standing, found.certificate, found.capacity) == (Standing.VALID, "D-K-1", 10.0)
+    assert found is not None and (found.traceability, found.certificate, found.capacity) == (
+        Traceability.VALID,
+        "D-K-1",
+        10.0,
+    )
     assert found.used_on == datetime.now(UTC).date()
 
 
@@ -98,7 +102,7 @@ def test_a_source_pressed_on_a_station_is_traced_to_its_load_cell(lot_folder: Pa
 def test_a_station_says_what_its_sources_are_compared_with(is_named: bool) -> None:
     config = StationConfig(StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="LC-7" if is_named else ""))
     found = station_reference(config)
-    assert found is not None and found.standing is Standing.MISSING
+    assert found is not None and found.traceability is Traceability.MISSING
     assert (found.cell == "LC-7") == is_named
     assert station_reference(replace(config, force=None)) is None
 

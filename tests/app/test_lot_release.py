@@ -34,7 +34,7 @@ from softcal.core.quality.interval_inflation import AuditedSamples, fit_interval
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import Method
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
@@ -197,7 +197,7 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     first, second = history[0], history[-1]
     assert (second.map_sha256 == first.map_sha256) == (second.correction is None)
     assert second.verdict == "pass" != first.verdict and second.fit.id == first.fit.id
-    widened = second.release.widening
+    widened = second.release.interval_inflation
     scaled = widened.scale * second.measured_interval.half_width
     assert np.allclose(second.interval.half_width, np.hypot(scaled, widened.added))
     audited = [unit["serial"] for unit in report["units"] if unit["audited"]]
@@ -205,7 +205,7 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     asked = fit_interval_inflation(
         [AuditedSamples(np.array(one.residual), np.array(one.half)) for one in read], 0.9, Method().release
     )
-    assert (widened.scale, widened.added) == pytest.approx((asked.scale, asked.added)) and asked != Widening()
+    assert (widened.scale, widened.added) == pytest.approx((asked.scale, asked.added)) and asked != IntervalInflation()
     assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.release.scale)
     # What is promised of it is the bound that the audits give, not their mean.
     assert second.forecast.upper == pytest.approx(first.predicted_rmse * release["factor"])
@@ -378,7 +378,7 @@ def test_audits_made_under_another_method_qualify_nothing(make_lot, batch, regis
     folder = make_lot()
     batch(folder)
     evidence = AuditReader(registry, replace(Method(), range_margin=0.07)).evidence("large", datetime.now(UTC))
-    assert not evidence.qualification.is_given and evidence.widening == Widening()
+    assert not evidence.qualification.is_given and evidence.interval_inflation == IntervalInflation()
 
 
 @pytest.mark.long
@@ -426,7 +426,7 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, re
             registry.recordings.add("large", golden, "audit")
             registry.stations.add_golden_run(GoldenRun("line", "large", serial, at, 0.1, "N", True))
     decided = decide_lot(registry, "large", now=start + timedelta(days=5))
-    assert decided is not None and decided.released == () and min(decided.days.values()) > 0
+    assert decided is not None and decided.released == () and min(decided.day_errors.values()) > 0
     assert registry.calibrations.get(serial).state.decision.reasons[0].code == "sampled.day"
 
 

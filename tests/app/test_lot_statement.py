@@ -109,10 +109,10 @@ def test_equal_facts_make_equal_bytes() -> None:
 
 def test_a_release_that_nobody_made_yet_is_neither_printed_nor_said() -> None:
     """What would be decided promises units that are conditional until somebody decides it."""
-    units = [replace(unit, verdict="conditional") for unit in FACTS.standing.units]
-    undecided = replace(FACTS, standing=replace(FACTS.standing, units=units))
+    units = [replace(unit, verdict="conditional") for unit in FACTS.status.units]
+    undecided = replace(FACTS, status=replace(FACTS.status, units=units))
     text, _ = _read(lot_statement_pdf(undecided))
     assert say("paper.given") not in text.replace(say("paper.not_given"), "") and "SERIAL-00019" not in text
-    told, decided = undecided.standing.to_json(), FACTS.standing.to_json()
+    told, decided = undecided.status.to_json(), FACTS.status.to_json()
     assert (told["released"], told["statement"], told["statement_reason"]) == ([], None, None)
     assert told["releasable"] == decided["released"] and decided["releasable"] == [] and decided["statement"]

@@ -190,7 +190,7 @@ def check(history: History, tmp_path: Path) -> None:
         if decided is not None:
             build_lot_statement(registry, standing, decided)
             assert {audit.serial for audit in decided.qualification.lot_audits} <= audited
-            assert set(decided.doubts) == {serial for serial, doubt in listed.items() if doubt is not None}
+            assert set(decided.suspects) == {serial for serial, doubt in listed.items() if doubt is not None}
             sampled = {s for s, one in states.items() if truth[s] == "pass" and not one.decision.is_audited}
             assert sampled <= set(decision_in_force(registry, LOT).released)
         # Files are written for what passes, and for nothing else.

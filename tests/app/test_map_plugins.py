@@ -190,9 +190,9 @@ def package(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_a_broken_plug_in_is_one_line(package, value, named):
     with pytest.raises(InputError, match=f"^.*{named}.*$"):
-        PLUGINS.beside(BUILTIN_FAMILIES, [EntryPoint("x", value, "softcal.maps")])
+        PLUGINS.merge_plugins(BUILTIN_FAMILIES, [EntryPoint("x", value, "softcal.maps")])
 
 
 def test_plug_ins_stand_last(package):
-    every = PLUGINS.beside(BUILTIN_FAMILIES, [EntryPoint("mine", "somebody:MINE", "softcal.maps")])
+    every = PLUGINS.merge_plugins(BUILTIN_FAMILIES, [EntryPoint("mine", "somebody:MINE", "softcal.maps")])
     assert list(every) == [*BUILTIN_FAMILIES, "mine"]

@@ -17,8 +17,8 @@ from softcal.core.messages import reason as reasons
 from softcal.core.messages import rig_sentences
 from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, pack_reasons, plain, reason, to_stored, unpack_reasons
 from softcal.core.unit import findings, health, verdict
+from softcal.core.unit.correspondence import CorrespondenceConfig
 from softcal.core.unit.evidence import DAY, LINE
-from softcal.core.unit.knowledge import KnowledgeConfig
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -152,7 +152,7 @@ def test_a_message_that_was_kept_as_a_sentence_is_that_sentence() -> None:
 
 @pytest.mark.parametrize("language", ["en", "ko"])
 def test_every_part_of_a_predicted_error_has_its_name_on_the_figure(language: str) -> None:
-    kinds = [kind() for kind in KnowledgeConfig.__subclasses__()]
+    kinds = [kind() for kind in CorrespondenceConfig.__subclasses__()]
     parts = {LINE, DAY} | {name for kind in kinds for name in (kind.base_term, *dict(kind.sensitivity))}
     assert len(parts) > 8
     for part in parts:

@@ -61,7 +61,7 @@ def test_two_loads_make_a_revision_that_reads_them(trimmed, registry_url, tmp_pa
     assert _revisions(registry_url) == before + 1
     with open_registry(registry_url) as registry:
         record = registry.calibrations.get("A1").state
-    assert record.knowledge.is_anchored and record.verdict != "pass" and record.scores is None
+    assert record.correspondence.is_anchored and record.verdict != "pass" and record.scores is None
 
 
 @pytest.mark.parametrize(
@@ -242,7 +242,7 @@ def test_known_loads_lie_in_the_lot_folder(lot_folder, registry_url):
     batch = ["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own"]
     main(batch)
     with open_registry(registry_url) as registry:
-        assert registry.calibrations.get("A1").state.knowledge.is_anchored
-        assert not registry.calibrations.get("A2").state.knowledge.is_anchored
+        assert registry.calibrations.get("A1").state.correspondence.is_anchored
+        assert not registry.calibrations.get("A2").state.correspondence.is_anchored
     loads.assign(serial="NOBODY").to_csv(lot_folder / "anchors.csv", index=False)
     assert main(batch) == 2

@@ -101,5 +101,5 @@ def search_with(fits: Mapping[tuple[str, ...], Fit]) -> Search:
     """Return a search that holds these fits, the base among them."""
     search = Search(fits[()], CAUSES)
     for found in fits.values():
-        search.keep(found)
+        search.store(found)
     return search

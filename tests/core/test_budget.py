@@ -16,19 +16,19 @@ from softcal.core.unit.budget import (
     SIMULATED,
     Contribution,
     Reference,
-    Standing,
+    Traceability,
     forecast_budget,
     measured_budget,
 )
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.knowledge import KnowledgeTable, LoadKnowledge
+from softcal.core.unit.correspondence import Correspondence, CorrespondenceTable
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.state_json import fit_from_json, fit_to_json
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.unit_problem import UnitProblem
-from softcal.core.unit.verdict import Decision, Judgement, Limit, Verdict, compare_with_audit, compare_with_limit
+from softcal.core.unit.verdict import Assessment, Decision, Limit, Verdict, compare_with_audit, compare_with_limit
 
 DRAWS = 400_000
 CELL = Reference(
@@ -46,7 +46,7 @@ CELL = Reference(
     contact=0.006,
     repeatability=0.004,
 )
-STAGE = LoadKnowledge("stage", KnowledgeTable().stage)
+STAGE = Correspondence("stage", CorrespondenceTable().stage)
 TERMS = {"model": 0.06, "resolution": 0.02, "stage": 0.1, "slow": 0.02}
 
 
@@ -108,10 +108,10 @@ def test_the_example_of_the_documents_is_the_sum_by_hand() -> None:
 
 
 def test_f_map_and_quantisation_share_the_forecast_among_them() -> None:
-    for kind in vars(KnowledgeTable()):
-        knowledge = LoadKnowledge(kind, getattr(KnowledgeTable(), kind))
+    for kind in vars(CorrespondenceTable()):
+        correspondence = Correspondence(kind, getattr(CorrespondenceTable(), kind))
         for rmse in (0.01, 0.06, 0.061, 0.3):
-            budget = forecast_budget(TERMS, knowledge, rmse, None, 1.0)
+            budget = forecast_budget(TERMS, correspondence, rmse, None, 1.0)
             assert budget.standard == pytest.approx(rmse)
     assert measured_budget(0.2, CELL, 2.0).standard == pytest.approx(np.hypot(0.2, CELL.expanded(2.0) / 2))
     assert Contribution("x", 3.0, "rectangular", sensitivity=-2.0).standard == pytest.approx(6 / 3**0.5)
@@ -120,25 +120,25 @@ def test_f_map_and_quantisation_share_the_forecast_among_them() -> None:
 @pytest.mark.parametrize(
     ("changes", "standing"),
     [
-        ({}, Standing.VALID),
-        ({"used_on": date(2028, 1, 1)}, Standing.EXPIRED),
-        ({"used_on": date(2027, 12, 31)}, Standing.VALID),
-        ({"used_on": date(2025, 12, 31)}, Standing.EXPIRED),
-        ({"certificate": ""}, Standing.MISSING),
-        ({"certificate": "", "cell": ""}, Standing.MISSING),
-        ({"uncertainty": None}, Standing.MISSING),
-        ({"due_on": None}, Standing.MISSING),
-        ({"is_simulated": True}, Standing.SIMULATED),
+        ({}, Traceability.VALID),
+        ({"used_on": date(2028, 1, 1)}, Traceability.EXPIRED),
+        ({"used_on": date(2027, 12, 31)}, Traceability.VALID),
+        ({"used_on": date(2025, 12, 31)}, Traceability.EXPIRED),
+        ({"certificate": ""}, Traceability.MISSING),
+        ({"certificate": "", "cell": ""}, Traceability.MISSING),
+        ({"uncertainty": None}, Traceability.MISSING),
+        ({"due_on": None}, Traceability.MISSING),
+        ({"is_simulated": True}, Traceability.SIMULATED),
     ],
 )
 def test_a_named_cell_without_a_certificate_that_held_bars_and_what_nobody_stated_does_not(
-    changes: dict[str, object], standing: Standing
+    changes: dict[str, object], standing: Traceability
 ) -> None:
     reference = replace(CELL, **changes)  # type: ignore[arg-type]
-    assert reference.standing is standing
+    assert reference.traceability is standing
     is_named = bool(reference.cell) and not reference.certificate
-    assert bool(reference.bars(5.0)) == (standing is Standing.EXPIRED or is_named)
-    assert [why.code for why in CELL.bars(10.1)] == ["reference_range"]
+    assert bool(reference.blocking_reasons(5.0)) == (standing is Traceability.EXPIRED or is_named)
+    assert [why.code for why in CELL.blocking_reasons(10.1)] == ["reference_range"]
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_five_newton_on_a_scale_of_seven_and_a_half_cannot_pass() -> None:
 
 
 def test_what_bars_a_pass_bars_it_however_the_unit_was_judged() -> None:
-    good, bars = Judgement(Verdict.PASS, (plain("good"),)), (plain("expired"),)
+    good, bars = Assessment(Verdict.PASS, (plain("good"),)), (plain("expired"),)
     for decision in (
         Decision(good, blocking_reasons=bars),
         Decision(good, good, blocking_reasons=bars),
@@ -184,7 +184,7 @@ def test_what_bars_a_pass_bars_it_however_the_unit_was_judged() -> None:
     ):
         assert decision.verdict is Verdict.CONDITIONAL
         assert decision.reasons[0] == bars[0]
-    bad = Judgement(Verdict.FAIL, (plain("bad"),))
+    bad = Assessment(Verdict.FAIL, (plain("bad"),))
     assert Decision(good, bad, blocking_reasons=bars).verdict is Verdict.FAIL
     assert Decision(good, bad, blocking_reasons=bars).reasons[0] == plain("bad")
 

@@ -11,8 +11,8 @@ from softcal.app.texts.reasons import render_reason
 from softcal.core.errors import InputError
 from softcal.core.metrics import rmse
 from softcal.core.recording import LabelledRecording
-from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.day_correction import fit_day_correction
 from softcal.core.unit.unit_problem import UnitProblem
 
 DAY_GAIN, DAY_ZERO_V = 1.08, 0.01
@@ -50,25 +50,25 @@ def codes(calibration):
 
 
 def test_the_day_of_a_measured_golden_run_is_found(source_model, sitting):
-    bridge = make_bridge(source_model, on_another_day(sitting[0]))
-    assert bridge.day_map.gain == pytest.approx(1 / DAY_GAIN, rel=0.01)
+    correction = fit_day_correction(source_model, on_another_day(sitting[0]))
+    assert correction.day_map.gain == pytest.approx(1 / DAY_GAIN, rel=0.01)
     load = 10 * sitting[0].reference / 10
     expected = rmse(10 * (0.5 + DAY_GAIN * 0.1 * load + DAY_ZERO_V - 0.5), load)
-    assert bridge.day_rmse == pytest.approx(expected, rel=0.05)
+    assert correction.day_rmse == pytest.approx(expected, rel=0.05)
 
 
 def test_the_same_day_is_left_alone(source_model, sitting):
-    bridge = make_bridge(source_model, sitting[0])
-    assert bridge.day_map.gain == pytest.approx(1.0, abs=0.005) and bridge.day_rmse < source_model.held_out_rmse
+    correction = fit_day_correction(source_model, sitting[0])
+    assert correction.day_map.gain == pytest.approx(1.0, abs=0.005) and correction.day_rmse < source_model.held_out_rmse
 
 
 def test_a_unit_of_another_programme_reads_its_loads_over_the_bridge(source_model, sitting, press):
     # Pressed lighter than the source: from its output alone it is a less sensitive one.
     golden, unit = (on_another_day(lighter(r, rest)) for r, rest in zip(sitting, (0.5, 0.7), strict=True))
-    bridge = make_bridge(source_model, golden)
-    bridged = calibrate(UnitProblem(source_model, unit.unlabelled, bridge=bridge))
+    correction = fit_day_correction(source_model, golden)
+    bridged = calibrate(UnitProblem(source_model, unit.unlabelled, day_correction=correction))
     blind = calibrate(UnitProblem(source_model, unit.unlabelled))
-    assert bridged.knowledge.kind == "paired" and blind.knowledge.kind == "blind"
+    assert bridged.correspondence.kind == "paired" and blind.correspondence.kind == "blind"
     later = on_another_day(press(11, gain=1.3, offset_V=0.05, seconds=60.0))
     assert reads(source_model, bridged, later) < 0.06 < 0.4 < reads(source_model, blind, later)
     assert "bridge.measured" in codes(bridged)
@@ -76,27 +76,28 @@ def test_a_unit_of_another_programme_reads_its_loads_over_the_bridge(source_mode
 
 def test_an_unmeasured_golden_run_carries_the_unit_to_the_day_of_the_source(source_model, sitting, press):
     golden, unit = map(on_another_day, sitting)
-    bridge = make_bridge(source_model, golden.unlabelled)
-    bridged = calibrate(UnitProblem(source_model, unit.unlabelled, bridge=bridge))
+    correction = fit_day_correction(source_model, golden.unlabelled)
+    bridged = calibrate(UnitProblem(source_model, unit.unlabelled, day_correction=correction))
     direct = calibrate(UnitProblem(source_model, unit.unlabelled))
     on_day_of_source = press(11, gain=1.3, offset_V=0.05, seconds=60.0)
     assert reads(source_model, bridged, on_day_of_source) < 0.6 * reads(source_model, direct, on_day_of_source)
-    assert "bridge.read" in codes(bridged) and not bridge.is_measured
+    assert "bridge.read" in codes(bridged) and not correction.is_measured
 
 
 def test_what_the_day_changes_is_in_forecast_and_interval(source_model, sitting):
     golden, unit = map(on_another_day, sitting)
-    bridge = make_bridge(source_model, golden)
+    correction = fit_day_correction(source_model, golden)
     whole, without = (
-        calibrate(UnitProblem(source_model, unit.unlabelled, bridge=b)) for b in (bridge, replace(bridge, day_rmse=0.0))
+        calibrate(UnitProblem(source_model, unit.unlabelled, day_correction=b))
+        for b in (correction, replace(correction, day_rmse=0.0))
     )
-    assert whole.forecast.rmse == pytest.approx(np.hypot(without.forecast.rmse, bridge.day_rmse))
+    assert whole.forecast.rmse == pytest.approx(np.hypot(without.forecast.rmse, correction.day_rmse))
     assert (whole.interval.half_width > without.interval.half_width).all()
 
 
 def test_a_golden_run_of_other_loads_is_told_and_not_used(source_model, sitting, press):
-    bridge = make_bridge(source_model, press(77, serial="S0", seconds=60.0))
-    bridged = calibrate(UnitProblem(source_model, sitting[1].unlabelled, bridge=bridge))
+    correction = fit_day_correction(source_model, press(77, serial="S0", seconds=60.0))
+    bridged = calibrate(UnitProblem(source_model, sitting[1].unlabelled, day_correction=correction))
     alone = calibrate(UnitProblem(source_model, sitting[1].unlabelled))
     assert "bridge.unused" in codes(bridged)
     assert bridged.forecast == alone.forecast
@@ -104,7 +105,10 @@ def test_a_golden_run_of_other_loads_is_told_and_not_used(source_model, sitting,
 
 def test_the_golden_run_is_part_of_what_a_result_depends_on(source_model, sitting):
     problem = UnitProblem(source_model, sitting[1].unlabelled)
-    assert replace(problem, bridge=make_bridge(source_model, sitting[0])).input_sha256 != problem.input_sha256
+    assert (
+        replace(problem, day_correction=fit_day_correction(source_model, sitting[0])).input_sha256
+        != problem.input_sha256
+    )
 
 
 @pytest.mark.parametrize(
@@ -118,4 +122,4 @@ def test_the_golden_run_is_part_of_what_a_result_depends_on(source_model, sittin
 )
 def test_a_golden_run_that_cannot_be_of_the_source_is_refused(source_model, sitting, spoil, facts):
     with pytest.raises(InputError, match=facts):
-        make_bridge(source_model, spoil(sitting[0], source_model.source))
+        fit_day_correction(source_model, spoil(sitting[0], source_model.source))

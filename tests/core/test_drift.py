@@ -12,7 +12,7 @@ from softcal.core.operation.observation import (
     FOLLOWED,
     HELD,
     JUMPED,
-    PRELOAD_GONE,
+    PRELOAD_FELL,
     PRELOADED,
     TRIED,
     USE_OR_GAIN,
@@ -381,7 +381,7 @@ def test_a_preload_that_is_taken_off_is_no_new_seat() -> None:
 
     seen = observe(tracker, presses(60.0, seed=4), use, 200.0)
 
-    assert PRELOAD_GONE in {one.reason for one in seen}
+    assert PRELOAD_FELL in {one.reason for one in seen}
     assert error_of(tracker, 1.0, 0.0) < 0.01
 
 

@@ -83,7 +83,7 @@ def test_what_does_not_fit_is_refused_in_one_line(change: object, name: str) -> 
 def test_the_method_of_use_comes_back_from_what_was_kept() -> None:
     method = replace(DriftTracking(), drift=replace(DriftTracking().drift, pace=13.0))
 
-    assert DriftTracking.of(json.loads(json.dumps(method.to_json()))) == method
+    assert DriftTracking.from_json(json.loads(json.dumps(method.to_json()))) == method
     assert method.id != DriftTracking().id
     assert method.changes(DriftTracking()) == ["drift.pace: 12.0, now 13.0"]
     assert DriftTracking().changes(DriftTracking()) == []

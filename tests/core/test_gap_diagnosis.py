@@ -64,7 +64,7 @@ def test_base_data_give_no_gap(plain):
     diagnosis = diagnose(plain)
     assert diagnosis.verdict == "no_gap"
     assert diagnosis.causes[0].probability < 0.5
-    assert diagnosis.places == ()
+    assert diagnosis.locations == ()
 
 
 @pytest.mark.parametrize("effect_id", SINGLES)
@@ -73,9 +73,9 @@ def test_a_single_effect_is_named_and_closes_the_gap(effect_id):
     first = diagnosis.causes[0]
     assert first.effect == effect_id and first.probability > 0.5
     assert diagnosis.verdict in ("explained", "ambiguous")
-    assert diagnosis.places[0].stage == first.stage
-    assert diagnosis.shrink.held_out > 0.9
-    assert abs(diagnosis.shrink.held_out - diagnosis.shrink.predicted) < 0.1
+    assert diagnosis.locations[0].stage == first.stage
+    assert diagnosis.explained_fraction.held_out > 0.9
+    assert abs(diagnosis.explained_fraction.held_out - diagnosis.explained_fraction.predicted) < 0.1
     report = diagnosis.report()
     assert effect_id in {entry["effect"] for entry in report["twin"]["effects"]}
     assert twin_from_record(report["twin"], "report").effects
@@ -106,7 +106,7 @@ def test_shares_of_an_unknown_gap_are_measured_or_equal():
     ]
     diagnosis = diagnose(dataclasses.replace(case, runs=tuple(slipping)))
     assert diagnosis.verdict == "unknown"
-    stages = [p for p in diagnosis.places if "of the gap's energy" not in str(p.detail)]
+    stages = [p for p in diagnosis.locations if "of the gap's energy" not in str(p.detail)]
     assert {p.share for p in stages} == {diagnosis.where.regimes[0].share}
     assert diagnosis.report()["partial"]["share"] == diagnosis.partial.share
 
@@ -169,14 +169,14 @@ def test_hum_is_a_line_where_mains_can_stand(rate_Hz, slow_Hz, is_hum):
 def test_two_effects_of_different_stages_are_both_named():
     diagnosis = diagnose(make_case(("channel_hysteresis", {}, ()), ("loadcell_creep", {}, ())))
     assert {c.effect for c in diagnosis.causes[:2]} == {"channel_hysteresis", "loadcell_creep"}
-    assert {p.stage for p in diagnosis.places[:2]} == {"transduction", "load_cell"}
+    assert {p.stage for p in diagnosis.locations[:2]} == {"transduction", "load_cell"}
 
 
 @pytest.mark.long
 def test_a_soft_frame_beside_a_large_cause_is_named_or_held_open_until_a_rigid_block_tells():
     case = make_case(("channel_collapse", {"beta": 0.025, "Fc": 4.0}, ()), ("frame_compliance", {"c_f": 0.03}, ()))
     diagnosis = diagnose(case)
-    in_play = {i for rival in diagnosis.rivals for i in rival.hypothesis.ids}
+    in_play = {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids}
     assert in_play == {"channel_collapse", "frame_compliance"}
     if diagnosis.verdict == "ambiguous":
         assert diagnosis.ambiguous_with == [["channel_collapse", "frame_compliance"]]
@@ -189,13 +189,19 @@ def test_a_soft_frame_beside_a_large_cause_is_named_or_held_open_until_a_rigid_b
 def test_a_small_cause_that_the_equation_of_a_large_one_might_leave_is_held_open():
     case = make_case(("dropped_samples", {}, ((6.0, 12),)), ("frame_compliance", {"c_f": 0.04}, ()))
     diagnosis = diagnose(case)
-    assert {i for rival in diagnosis.rivals for i in rival.hypothesis.ids} == {"dropped_samples", "frame_compliance"}
+    assert {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids} == {
+        "dropped_samples",
+        "frame_compliance",
+    }
 
 
 @pytest.mark.long
 def test_a_frame_with_a_toe_is_not_called_a_joint_that_closes_alone():
     diagnosis = diagnose(make_case(("frame_compliance", {"c_f": 0.05}, ()), ("misaligned_contact", {"l": 0.3}, ())))
-    assert {i for rival in diagnosis.rivals for i in rival.hypothesis.ids} == {"frame_compliance", "misaligned_contact"}
+    assert {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids} == {
+        "frame_compliance",
+        "misaligned_contact",
+    }
 
 
 @pytest.mark.long
@@ -252,7 +258,7 @@ def test_a_cause_outside_the_catalogue_is_unknown():
         runs.append(dataclasses.replace(run, force_N=force_N, output_V=output_V))
     diagnosis = diagnose(Case("G1", tuple(runs)))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage in ("motion", "mechanics") and str(diagnosis.places[0].detail)
+    assert diagnosis.locations[0].stage in ("motion", "mechanics") and str(diagnosis.locations[0].detail)
 
 
 @pytest.mark.long
@@ -264,7 +270,7 @@ def test_an_output_offset_that_drifts_is_not_blamed_on_ageing():
         runs.append(dataclasses.replace(run, output_V=np.round(drifting_V / READOUT.step_V) * READOUT.step_V))
     diagnosis = diagnose(Case("G1", tuple(runs)))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage == "electronics"
+    assert diagnosis.locations[0].stage == "electronics"
 
 
 @pytest.mark.long
@@ -277,14 +283,14 @@ def test_the_forecast_of_a_half_explained_gap_counts_the_noise_of_a_driving_forc
         runs.append(dataclasses.replace(run, stage_mm=None, force_N=noisy_N, output_V=output_V))
     diagnosis = diagnose(Case("G1", tuple(runs)))
     assert diagnosis.verdict == "unknown"
-    assert abs(diagnosis.shrink.predicted - diagnosis.shrink.held_out) < 0.15
+    assert abs(diagnosis.explained_fraction.predicted - diagnosis.explained_fraction.held_out) < 0.15
 
 
 def test_drift_of_reference_and_channel_without_temperature_is_resolved_or_called_ambiguous():
     case = make_case(("ageing_drift", {"gamma": 0.004, "tau": 60.0}, ()))
     case = Case("G1", tuple(dataclasses.replace(run, temperature_C=None) for run in case.runs))
     diagnosis = diagnose(case)
-    named = {i for rival in diagnosis.rivals for i in rival.hypothesis.ids}
+    named = {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids}
     assert "ageing_drift" in named
     assert diagnosis.case.missing_channels == ("temperature_C",)
     if diagnosis.verdict == "ambiguous":
@@ -368,18 +374,18 @@ def test_a_warm_divider_is_held_open_beside_thermal_drift_until_a_warmed_dummy_t
     case = Case("G1", tuple(runs))
     diagnosis = diagnose(case)
     assert diagnosis.causes[0].effect == "thermal_drift"
-    assert {p.stage for p in diagnosis.places[:2]} == {"transduction", "electronics"}
+    assert {p.stage for p in diagnosis.locations[:2]} == {"transduction", "electronics"}
     assert diagnosis.next_experiment.profile == "dummy_resistor"
     diagnosis = diagnose(with_warmed_dummy(case, 0.002))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage == "electronics"
+    assert diagnosis.locations[0].stage == "electronics"
 
 
 def test_a_warmed_dummy_that_stays_put_leaves_the_drift_to_the_channel():
     case = make_case(("thermal_drift", SINGLES["thermal_drift"], ()))
     diagnosis = diagnose(with_warmed_dummy(case, 0.0))
     assert diagnosis.causes[0].effect == "thermal_drift" and diagnosis.verdict == "explained"
-    assert {p.stage for p in diagnosis.places} == {"transduction"}
+    assert {p.stage for p in diagnosis.locations} == {"transduction"}
     assert diagnosis.next_experiment.profile == "none"
 
 
@@ -422,7 +428,7 @@ def test_a_cause_enters_the_twin_by_the_form_it_was_fitted_in(form):
     assert again == twin
     run = base.problem.case.runs[1]
     force_N, output_V = simulate(again, run.t_s, run.stage_mm, None, run.temperature_C)
-    told = {b.channel: found.predicted[b.place] for b in found.problem.blocks if b.run == 1}
+    told = {b.channel: found.predicted[b.rows] for b in found.problem.blocks if b.run == 1}
     np.testing.assert_allclose(force_N, told["force_N"], atol=1e-9)
     np.testing.assert_allclose(output_V, told["output_V"], atol=READOUT.step_V)
 

@@ -11,7 +11,7 @@ from softcal.core.challenge.equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.rig import Cause, Path, Rack, Rig, record
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.empirical import learned
+from softcal.core.gap.empirical import learn_residual
 from softcal.core.gap.places import explained_twin
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import terms_of_twin
@@ -60,7 +60,7 @@ def gap(twin, run, found):
     told = dict(
         zip(("force_N", "output_V"), simulate(twin, run.t_s, run.stage_mm, None, run.temperature_C), strict=True)
     )
-    errors = {c: np.sqrt(np.mean((getattr(run, c) - v) ** 2)) / found.problem.floor(c) for c, v in told.items()}
+    errors = {c: np.sqrt(np.mean((getattr(run, c) - v) ** 2)) / found.problem.noise_floor(c) for c, v in told.items()}
     return sum(max(0.0, error - 1.0) for error in errors.values())
 
 
@@ -78,17 +78,17 @@ def test_an_effect_outside_the_catalogue_is_described_and_the_twin_shrinks_the_g
 ):
     case, kept_back = outside_case(name, values)
     base = TWIN.base_fit(case)
-    found = learned(base, [base], list(terms_of_twin(base)))
+    found = learn_residual(base, [base], list(terms_of_twin(base)))
     assert found is not None and 1 <= len(found.terms) <= 3
     assert variable in found.terms[0].term.variable
     first = found.terms[0]
     assert abs(first.term.coefficient) > 3.0 * first.standard_error > 0.0
-    assert first.term.unit in first.term.formula and found.shrink.low > 0.0
+    assert first.term.unit in first.term.formula and found.explained_fraction.low > 0.0
     twin = explained_twin(found.fit, [one.term for one in found.terms])
     again = twin_from_record(json.loads(json.dumps(twin_record(twin))), "file")
     assert again == twin
     realised = 1.0 - gap(again, kept_back, base) / gap(explained_twin(base), kept_back, base)
-    assert realised == pytest.approx(found.shrink.predicted, abs=0.10)
+    assert realised == pytest.approx(found.explained_fraction.predicted, abs=0.10)
 
 
 def test_noise_alone_gets_no_term():
@@ -98,7 +98,7 @@ def test_noise_alone_gets_no_term():
         t_s, stage_mm = profile.sample(50.0)
         runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, *simulate(Twin(BASE, (), READOUT), t_s, stage_mm, rng)))
     base = TWIN.base_fit(Case("G1", tuple(runs)))
-    assert learned(base, [base], list(terms_of_twin(base))) is None
+    assert learn_residual(base, [base], list(terms_of_twin(base))) is None
 
 
 def test_what_happens_once_in_a_run_gets_no_term():
@@ -112,7 +112,7 @@ def test_what_happens_once_in_a_run_gets_no_term():
         output_V = output_V + rng.choice([-0.02, 0.02]) * (np.abs(t_s - at_s) < 0.25)
         runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, force_N, output_V))
     base = TWIN.base_fit(Case("G1", tuple(runs)))
-    assert learned(base, [base], list(terms_of_twin(base))) is None
+    assert learn_residual(base, [base], list(terms_of_twin(base))) is None
 
 
 @pytest.mark.parametrize("variable", VARIABLES)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from softcal.core.gap.case import MenuEntry
-from softcal.core.gap.empirical import learned, splits
-from softcal.core.gap.evidence import nearest, partial_of, places_of, ranked_causes, regime_places
-from softcal.core.gap.experiments import identifiability, most_telling, reasons
+from softcal.core.gap.empirical import learn_residual, splits
+from softcal.core.gap.evidence import fault_locations, nearest, partial_of, ranked_causes, regime_locations
+from softcal.core.gap.experiments import identifiability, propose_experiment, reasons
 from softcal.core.gap.fit import Regime, fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Hypothesis
@@ -51,19 +51,21 @@ def test_the_held_out_gap_is_that_of_least_squares_without_each_run(names):
     gap = found.gap["y"]
     assert (gap.rmse_before, gap.rmse_after) == pytest.approx((rms["before"], rms["after"]), rel=2e-3)
     assert gap.noise_floor == FLOOR
-    assert found.shrink.held_out == pytest.approx(np.clip(shrunk(rms["before"], rms["after"]), 0, 1), abs=0.01)
+    assert found.explained_fraction.held_out == pytest.approx(
+        np.clip(shrunk(rms["before"], rms["after"]), 0, 1), abs=0.01
+    )
     assert found.chosen == (best.ids,) * 3
     before, after = errors["before"] / lm.SIGMA, errors["after"] / lm.SIGMA
     assert found.held_out_gain == pytest.approx(before @ before - after @ after, rel=1e-2)
     assert found.gain_error == pytest.approx(2.0 * np.sqrt(np.sum((before - after) ** 2)), rel=1e-2)
-    assert found.stands
+    assert found.is_supported
     assert "run" in found.protocol
 
 
 def test_the_forecast_is_by_the_errors_of_the_parameters():
     """Before, the two fits part by so much; after, the parameters' uncertainty alone is left of a right hypothesis."""
     base, best = lm.fitted(PROBLEM), lm.fitted(PROBLEM, lm.BEND, lm.RIPPLE)
-    found = quantify(base, best).shrink
+    found = quantify(base, best).explained_fraction
     whole, small = lm.design(RUNS, "bend", "ripple"), lm.design(RUNS)
     parted, spread = [], []
     for k in range(3):
@@ -87,9 +89,9 @@ def test_the_forecast_is_by_the_errors_of_the_parameters():
 def test_without_a_cause_nothing_shrinks():
     base = lm.fitted(PROBLEM)
     found = quantify(base, base)
-    assert (found.shrink.predicted, found.shrink.held_out, found.chosen) == (0.0, 0.0, ())
+    assert (found.explained_fraction.predicted, found.explained_fraction.held_out, found.chosen) == (0.0, 0.0, ())
     assert found.gap["y"].rmse_before == found.gap["y"].rmse_after
-    assert not found.stands
+    assert not found.is_supported
     left = lm.left_of(lm.design(RUNS), Y)
     assert gap_of_base(base)["y"].rmse_before == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
     assert gap_of_base(base)["y"].rmse_after == gap_of_base(base)["y"].rmse_before
@@ -100,7 +102,7 @@ def test_a_part_is_measured_by_what_would_be_chosen_without_it():
     fits = lm.fits_of(PROBLEM, (lm.BEND,), (lm.KINK,), (lm.RIPPLE,))
     found = quantify(fits[()], fits["kink",], fits.values())
     assert found.chosen == (("bend",),) * 3
-    given = quantify(fits[()], fits["kink",], fits.values(), is_given=True)
+    given = quantify(fits[()], fits["kink",], fits.values(), is_chosen=True)
     assert given.chosen == (("kink",),) * 3
     after = np.concatenate([held_out(lm.design(RUNS, "kink"), RUN == k) for k in range(3)])
     assert given.gap["y"].rmse_after == pytest.approx(np.sqrt(np.mean(after**2)), rel=2e-3)
@@ -160,19 +162,21 @@ def test_the_run_is_proposed_that_keeps_refitted_rivals_apart():
     for entry in (FAR, SHORT):
         x = entry.run.columns["x"]
         both = [distance(x, ("bend",), ("ripple",)), distance(x, ("ripple",), ("bend",))]
-        found = most_telling([NEAR, entry], rivals)
+        found = propose_experiment([NEAR, entry], rivals)
         assert found.profile == entry.name
         assert found.separation_sigma == pytest.approx(min(both), rel=1e-3)
         assert found.minutes == entry.minutes
     # Both tell: the quicker wins, where what it tells per minute is more.
-    per_minute = {e.name: min(most_telling([e], rivals).separation_sigma, 10 * METHOD.telling.enough_sigma) / e.minutes
-                  for e in (FAR, SHORT)}  # fmt: skip
-    assert most_telling([FAR, SHORT], rivals).profile == max(per_minute, key=lambda n: per_minute[n])
+    bound = 10 * METHOD.telling.enough_sigma
+    per_minute = {
+        e.name: min(propose_experiment([e], rivals).separation_sigma, bound) / e.minutes for e in (FAR, SHORT)
+    }
+    assert propose_experiment([FAR, SHORT], rivals).profile == max(per_minute, key=lambda n: per_minute[n])
 
 
 def test_a_larger_set_is_asked_whether_the_smaller_one_reaches_it():
     rivals = [lm.fitted(PROBLEM, lm.BEND), lm.fitted(PROBLEM, lm.BEND, lm.RIPPLE)]
-    found = most_telling([FAR], rivals)
+    found = propose_experiment([FAR], rivals)
     x = FAR.run.columns["x"]
     expected = distance(x, ("bend",), ("bend", "ripple"))
     if expected >= METHOD.telling.enough_sigma:
@@ -184,7 +188,7 @@ def test_a_larger_set_is_asked_whether_the_smaller_one_reaches_it():
 def test_no_run_tells_what_no_run_parts():
     louder = lm.problem_of(RUNS, 4.0)
     rivals = [lm.fitted(louder, lm.BEND), lm.fitted(louder, lm.RIPPLE)]
-    found = most_telling([NEAR], rivals)
+    found = propose_experiment([NEAR], rivals)
     assert (found.profile, found.separation_sigma) == ("none", 0.0)
 
 
@@ -205,12 +209,12 @@ def test_a_run_that_tells_more_rivals_comes_first():
         rivals.append(fit(problem, hypothesis, at, steps=0))
     right = experiment("right", np.linspace(0.0, 3.0, 40), 0.2)
     both = experiment("both", np.linspace(-3.0, 3.0, 40), 5.0)
-    assert most_telling([right, both], rivals).profile == "both"
-    assert most_telling([right, both], rivals[:2]).profile == "right"
-    alone = most_telling([right], rivals)
+    assert propose_experiment([right, both], rivals).profile == "both"
+    assert propose_experiment([right, both], rivals[:2]).profile == "right"
+    alone = propose_experiment([right], rivals)
     assert alone.profile == "right" and alone.why.code == "gap.next.separates_most"
     assert alone.why.values["others"] == 1
-    assert most_telling([both], rivals).why.code == "gap.next.separates"
+    assert propose_experiment([both], rivals).why.code == "gap.next.separates"
 
 
 # What the runs tell.
@@ -226,14 +230,14 @@ def test_what_shows_of_a_parameter_is_what_the_others_leave():
         left = lm.left_of(others, columns[:, k])
         assert told[name].sigma == pytest.approx(usual * np.linalg.norm(left) / lm.SIGMA, rel=1e-4)
         assert told[name].hidden == pytest.approx(1.0 - left @ left / (columns[:, k] @ columns[:, k]), rel=1e-3)
-        assert told[name].is_base and told[name].is_told and told[name].beside == ()
+        assert told[name].is_base and told[name].is_identifiable and told[name].beside == ()
     for cause in lm.CAUSES:
         shape = lm.design(RUNS, cause.id)[:, 2]
         left = lm.left_of(columns, shape)
         one = told[cause.id]
         assert one.sigma == pytest.approx(0.2 * np.linalg.norm(left) / lm.SIGMA, rel=1e-4)
         assert one.hidden == pytest.approx(1.0 - left @ left / (shape @ shape), rel=1e-3)
-        assert not one.is_base and one.own == 0.0 and not one.is_own
+        assert not one.is_base and one.own == 0.0 and not one.is_run_nuisance
     shapes = {c.id: lm.left_of(columns, lm.design(RUNS, c.id)[:, 2]) for c in lm.CAUSES}
     alike = [
         pair for pair in combinations(shapes, 2)
@@ -261,12 +265,12 @@ def test_what_is_too_small_is_told_by_a_run_that_shows_it():
     level, slope = columns.T
     left = lm.left_of(level[:, None], slope)
     assert told["slope"].sigma == pytest.approx(2.0 * np.linalg.norm(left) / 0.4, rel=1e-3)
-    assert not told["slope"].is_told and not told["bend"].is_told
+    assert not told["slope"].is_identifiable and not told["bend"].is_identifiable
     # The quickest first; the near one shows neither.
     assert told["slope"].by == told["bend"].by == ("short", "far")
     assert told["level"].by == ()
     assert told["slope"].beside == ()
-    untold = [one.name for one in told.untold]
+    untold = [one.name for one in told.unidentifiable]
     assert untold == ["slope", "bend"]
     assert set(told.record()["causes"]) == {"bend"} and set(told.record()["base"]) == {"level", "slope"}
 
@@ -284,7 +288,7 @@ def test_what_changes_nothing_does_not_show():
     )
     told = identifiability(base, (lm.BEND,))
     assert (told["slope"].sigma, told["slope"].hidden) == (0.0, 0.0)
-    assert not told["slope"].is_told
+    assert not told["slope"].is_identifiable
 
 
 def test_a_cause_that_each_run_may_have_of_its_own_is_an_offset():
@@ -324,7 +328,7 @@ def test_a_learned_term_is_what_least_squares_gives_it():
     runs = lm.runs_of({"bend.size": 0.6}, COUNTS)
     base = lm.fitted(lm.problem_of(runs))
     squares = [t for t in terms_of(lm.LINE, base) if t.signal == "x" and t.kind in ("²", "³")]
-    found = learned(base, (base,), squares)
+    found = learn_residual(base, (base,), squares)
     (one,) = found.terms
     extra = np.concatenate([one.term.values(r.t_s, r.columns) for r in runs])
     columns = np.column_stack([lm.design(runs), extra])
@@ -336,9 +340,9 @@ def test_a_learned_term_is_what_least_squares_gives_it():
         worse * lm.SIGMA * np.sqrt(np.linalg.inv(columns.T @ columns)[2, 2]), rel=1e-3
     )
     assert one.chosen == 1.0
-    assert found.without == 0.0 and found.beside == ()
-    assert found.shrink.low < found.shrink.predicted <= found.shrink.high <= 1.0
-    assert found.shrink.predicted > 0.9
+    assert found.without == 0.0 and found.other_causes == ()
+    assert found.explained_fraction.low < found.explained_fraction.predicted <= found.explained_fraction.high <= 1.0
+    assert found.explained_fraction.predicted > 0.9
     record = found.record()
     assert record["terms"][0]["coefficient"] == one.term.coefficient
     assert record["beside"] == []
@@ -347,7 +351,7 @@ def test_a_learned_term_is_what_least_squares_gives_it():
 def test_nothing_is_learned_where_nothing_is_left():
     runs = lm.runs_of({}, COUNTS)
     base = lm.fitted(lm.problem_of(runs))
-    assert learned(base, (base,), list(terms_of(lm.LINE, base))) is None
+    assert learn_residual(base, (base,), list(terms_of(lm.LINE, base))) is None
 
 
 # The search.
@@ -397,12 +401,12 @@ def test_of_two_fits_of_one_set_the_likelier_is_kept():
     search = hand_search()
     good = search.fits["bend",]
     worse = replace(good, chi2=good.chi2 + 50.0)
-    search.keep(worse)
+    search.store(worse)
     assert search.fits["bend",] is good
     better = replace(good, chi2=good.chi2 - 1.0)
-    search.keep(better)
+    search.store(better)
     assert search.fits["bend",] is better
-    search.keep(replace(search.fits["ripple",], chi2=np.inf))
+    search.store(replace(search.fits["ripple",], chi2=np.inf))
     assert search.fits["ripple",].chi2 < np.inf
 
 
@@ -463,14 +467,14 @@ def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
     assert (alone.effect, alone.shrink) == ("bend", pytest.approx(0.8))
     nothing = ranked_causes(search, search.base, lm.CAUSES, (), chances, 0.8)
     assert all(r.shrink is None for r in nothing)
-    places = places_of(rows[:2], "y", Reason("gap.regime.everywhere"), lambda i: reason("gap.effect", effect=i))
+    places = fault_locations(rows[:2], "y", Reason("gap.regime.everywhere"), lambda i: reason("gap.effect", effect=i))
     assert [p.share for p in places] == pytest.approx([r.shrink / 0.8 for r in rows[:2]])
     assert [p.stage for p in places] == [r.stage for r in rows[:2]]
 
 
 def test_the_first_four_regimes_are_listed():
     seen = [Regime("y", Reason("gap.regime.start"), 0.1 * k, 2.0) for k in range(1, 7)]
-    places = regime_places("pad", seen, "gap.seen.energy")
+    places = regime_locations("pad", seen, "gap.seen.energy")
     assert [p.share for p in places] == [0.1, 0.2, pytest.approx(0.3), 0.4]
     assert {p.stage for p in places} == {"pad"}
 

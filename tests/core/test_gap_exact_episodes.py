@@ -10,7 +10,7 @@ from softcal.core.gap import mistakes as looks
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.episodes import (
     lag_path,
-    placed_again,
+    relocate_episodes,
     step_path,
     with_intervals,
     with_level,
@@ -20,7 +20,7 @@ from softcal.core.gap.episodes import (
 from softcal.core.gap.fit import fit
 from softcal.core.gap.linear import to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.mistakes import UNITS, UNITS_OF_RUN, doubts, nearest, outlier_run
+from softcal.core.gap.mistakes import UNITS, UNITS_OF_RUN, nearest, outlier_run, suspect_units
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS
@@ -35,7 +35,7 @@ CONFIG = METHOD.mistake
 
 
 def doubts_of(case):
-    return doubts(case, CONFIG)
+    return suspect_units(case, CONFIG)
 
 
 def volt(resistance):
@@ -150,7 +150,7 @@ def test_losses_are_placed_where_they_are():
     assert found.penalty - base.penalty == pytest.approx(
         (1 + METHOD.evidence.episode_cost) * np.log(found.problem.count) - 2 * np.log(METHOD.evidence.prior_odds)
     )
-    again = placed_again(found)
+    again = relocate_episodes(found)
     assert again.bic <= found.bic
     whole = base_of(run_of(1), run_of(2))
     assert with_losses(whole, EFFECTS["dropped_samples"]) is None

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares, lsq_linear
 from softcal.core.gap.case import Case
 from softcal.core.gap.evidence import (
     Yardstick,
+    competing_hypotheses,
     confused_pairs,
     estimates_of,
     exact_log_evidence,
@@ -17,7 +18,6 @@ from softcal.core.gap.evidence import (
     misfit,
     penalty,
     probabilities,
-    rivals,
 )
 from softcal.core.gap.fit import Fit, Probe, Tangent, fit
 from softcal.core.gap.method import METHOD
@@ -249,13 +249,13 @@ def test_structure_that_even_the_closest_leaves_raises_the_floor():
     yardstick = Yardstick.of(fits.values())
     closest = fits["bend",]
     sums = np.concatenate([
-        closest.residual[b.place][: len(closest.residual[b.place]) // 8 * 8].reshape(-1, 8).sum(axis=1) / np.sqrt(8)
+        closest.residual[b.rows][: len(closest.residual[b.rows]) // 8 * 8].reshape(-1, 8).sum(axis=1) / np.sqrt(8)
         for b in closest.problem.blocks
     ])  # fmt: skip
     assert yardstick.chi2 == closest.chi2
-    assert yardstick.floor == pytest.approx((np.mean(sums**2) - 1.0) / 8 * N)
+    assert yardstick.noise_floor == pytest.approx((np.mean(sums**2) - 1.0) / 8 * N)
     assert yardstick.log_evidence(closest) == pytest.approx(
-        -0.5 * (misfit(yardstick.floor, EVIDENCE.modes) + penalty(closest))
+        -0.5 * (misfit(yardstick.noise_floor, EVIDENCE.modes) + penalty(closest))
     )
 
 
@@ -285,36 +285,36 @@ def weighed(*rows: tuple[tuple[str, ...], float]) -> tuple[dict, dict]:
 
 def test_rivals_are_other_causes_within_the_odds():
     fits, logs = weighed((("bend",), 0.0), (("ripple",), -RIVAL.odds + 0.1), (("kink",), -RIVAL.odds - 0.1), ((), -1.0))
-    assert [f.ids for f in rivals(fits, fits["bend",], logs)] == [("bend",), ("ripple",)]
-    assert [f.ids for f in rivals(fits, fits["bend",], {**logs, ("ripple",): -RIVAL.odds})] == [("bend",)]
+    assert [f.ids for f in competing_hypotheses(fits, fits["bend",], logs)] == [("bend",), ("ripple",)]
+    assert [f.ids for f in competing_hypotheses(fits, fits["bend",], {**logs, ("ripple",): -RIVAL.odds})] == [("bend",)]
 
 
 def test_nothing_rivals_no_cause():
     fits, logs = weighed(((), 0.0), (("bend",), -0.1))
-    assert rivals(fits, fits[()], logs) == (fits[()],)
+    assert competing_hypotheses(fits, fits[()], logs) == (fits[()],)
 
 
 def test_a_set_that_holds_a_likelier_one_is_no_rival_of_its_own():
     fits, logs = weighed((("bend",), 0.0), (("bend", "ripple"), -4.0), (("kink",), -2.0))
-    assert [f.ids for f in rivals(fits, fits["bend",], logs)] == [("bend",), ("kink",)]
+    assert [f.ids for f in competing_hypotheses(fits, fits["bend",], logs)] == [("bend",), ("kink",)]
 
 
 def test_a_cause_more_that_is_hardly_behind_is_a_rival():
     fits, logs = weighed((("bend",), 0.0), (("bend", "ripple"), -0.9 * RIVAL.added))
-    assert [f.ids for f in rivals(fits, fits["bend",], logs)] == [("bend",), ("bend", "ripple")]
+    assert [f.ids for f in competing_hypotheses(fits, fits["bend",], logs)] == [("bend",), ("bend", "ripple")]
     fits, logs = weighed((("bend",), 0.0), (("bend", "ripple"), -1.1 * RIVAL.added))
-    assert [f.ids for f in rivals(fits, fits["bend",], logs)] == [("bend",)]
+    assert [f.ids for f in competing_hypotheses(fits, fits["bend",], logs)] == [("bend",)]
 
 
 def test_there_are_at_most_so_many_rivals():
     fits, logs = weighed((("bend",), 0.0), (("ripple",), -1.0), (("kink",), -2.0), (("kink", "ripple"), -0.5))
-    group = rivals(fits, fits["bend",], logs)
+    group = competing_hypotheses(fits, fits["bend",], logs)
     assert [f.ids for f in group] == [("bend",), ("kink", "ripple"), ("ripple",)][: RIVAL.most]
 
 
 def test_a_cause_held_open_is_in_play_behind_the_best():
     fits, logs = weighed((("bend",), 0.0), (("kink",), -1.0), (("bend", "ripple"), -40.0))
-    group = rivals(fits, fits["bend",], logs, (fits["bend", "ripple"],))
+    group = competing_hypotheses(fits, fits["bend",], logs, (fits["bend", "ripple"],))
     assert [f.ids for f in group] == [("bend",), ("bend", "ripple"), ("kink",)]
 
 

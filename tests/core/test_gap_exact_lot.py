@@ -10,12 +10,12 @@ from softcal.core import lot_diagnosis
 from softcal.core.errors import InputError
 from softcal.core.gap import search
 from softcal.core.gap.case import of_gain
-from softcal.core.gap.diagnosis import Diagnosis, check_simulator, diagnose_simulator, judged
+from softcal.core.gap.diagnosis import Diagnosis, assess_search, check_simulator, diagnose_simulator
 from softcal.core.gap.evidence import Yardstick, exact_log_evidence, log_evidences, misfit, penalty, probabilities
 from softcal.core.gap.fit import Regime, structure
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.residual import Quantified, Shrink
-from softcal.core.gap.search import under_its_floor
+from softcal.core.gap.residual import ExplainedFraction, Quantified
+from softcal.core.gap.search import search_under_correlated_noise
 from softcal.core.gap.simulator import Experiment
 from softcal.core.lot_diagnosis import UnitSearch, diagnose_lot, joint_logs, lot_logs
 from softcal.core.messages.reason import Reason
@@ -39,7 +39,7 @@ def test_what_a_unit_leaves_for_its_lot():
     one, fits = SEARCHED[0], UNITS[0]
     assert one.logs == log_evidences(fits)
     assert one.top == max(one.logs.values())
-    assert one.left == {ids: (f.chi2, penalty(f)) for ids, f in fits.items()}
+    assert one.misfit_and_penalty == {ids: (f.chi2, penalty(f)) for ids, f in fits.items()}
     assert one.shared(("bend",)) == pytest.approx(one.logs["bend",] - PRIOR)
     assert one.shared(("bend", "ripple")) == pytest.approx(one.logs["bend", "ripple"] - 2 * PRIOR)
     # What was not fitted has its bound.
@@ -54,12 +54,12 @@ def test_what_a_unit_leaves_for_its_lot():
 def test_what_a_unit_did_not_try_is_fitted_from_another():
     for sign in (1.0, -1.0):
         short = UnitSearch.of(unit(5, sign * 0.4, sets=((lm.RIPPLE,),)))
-        donor = SEARCHED[1].found["bend",]
+        donor = SEARCHED[1].fits["bend",]
         short.add(("bend",), donor)
         runs = lm.runs_of({"bend.size": sign * 0.4}, seed=5)
         columns = lm.design(runs, "bend")
-        np.testing.assert_allclose(short.found["bend",][1], lm.solved(columns, lm.measured(runs)), atol=1e-3)
-        assert short.left["bend",][0] == pytest.approx(
+        np.testing.assert_allclose(short.fits["bend",][1], lm.solved(columns, lm.measured(runs)), atol=1e-3)
+        assert short.misfit_and_penalty["bend",][0] == pytest.approx(
             np.sum(lm.left_of(columns, lm.measured(runs)) ** 2) / lm.SIGMA**2, abs=0.05
         )
         assert short.logs["bend",] == pytest.approx(short.yardstick.log_evidence(short.fitted(("bend",))), abs=0.1)
@@ -69,10 +69,10 @@ def test_units_add_what_a_set_leaves_and_judge_it_as_of_one():
     sets = list(SEARCHED[0].logs)
     found = joint_logs(SEARCHED, sets)
     sizes = sum(np.log(s.problem.count) for s in SEARCHED[1:])
-    left = {ids: sum(s.left[ids][0] for s in SEARCHED) + len(ids) * sizes for ids in sets}
-    floor = sum(s.yardstick.floor for s in SEARCHED)
+    left = {ids: sum(s.misfit_and_penalty[ids][0] for s in SEARCHED) + len(ids) * sizes for ids in sets}
+    floor = sum(s.yardstick.noise_floor for s in SEARCHED)
     for ids in sets:
-        cost = np.mean([s.left[ids][1] for s in SEARCHED])
+        cost = np.mean([s.misfit_and_penalty[ids][1] for s in SEARCHED])
         assert found[ids] == pytest.approx(
             -0.5 * (misfit(floor + left[ids] - min(left.values()), EVIDENCE.modes) + cost)
         )
@@ -98,7 +98,9 @@ def test_a_set_that_one_unit_lacks_is_fitted_to_it():
 
 def stub_diagnosis(fits, verdict="explained"):
     best = fits[max(log_evidences(fits), key=lambda i: log_evidences(fits)[i])]
-    return SimpleNamespace(verdict=verdict, best=best, rivals=(best,), case=best.problem.case, mistakes=())
+    return SimpleNamespace(
+        verdict=verdict, best=best, competing_hypotheses=(best,), case=best.problem.case, mistakes=()
+    )
 
 
 def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
@@ -122,7 +124,7 @@ def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
     for name, one in zip(("u1", "u2", "u3"), SEARCHED, strict=True):
         row = by_name[name]
         assert row.follows and row.log_odds == pytest.approx(one.shared(("bend",)) - one.stray)
-        assert row.sizes["bend"]["size"].value == pytest.approx(one.found["bend",][1][2], abs=1e-6)
+        assert row.sizes["bend"]["size"].value == pytest.approx(one.fits["bend",][1][2], abs=1e-6)
     assert by_name["odd"].log_odds < 0.0 and by_name["odd"].sizes == {}
     assert by_name["spoilt"].fit is None and by_name["spoilt"].log_odds is None
     report = found.report()
@@ -172,9 +174,9 @@ def search_of(
 
 def test_an_explained_gap_has_the_probabilities_of_bayes():
     search = search_of({"bend.size": 0.5})
-    found = judged(search)
+    found = assess_search(search)
     assert found.verdict == "explained" and [f.ids for f in found.group] == [("bend",)]
-    assert found.quantified.shrink.held_out > 0.95 and found.list_complete > 0.75
+    assert found.quantified.explained_fraction.held_out > 0.95 and found.list_complete > 0.75
     bayes = probabilities(log_evidences(search.fits), [c.id for c in lm.CAUSES])
     # Sets of less than a thousandth say nothing.
     assert found.chances == pytest.approx(bayes, abs=5e-3)
@@ -182,15 +184,15 @@ def test_an_explained_gap_has_the_probabilities_of_bayes():
 
 def test_a_cause_that_lowers_nothing_is_taken_out_of_the_best():
     search = search_of({"bend.size": 0.5}, best=("bend", "ripple"))
-    judged(search)
+    assess_search(search)
     assert search.best.ids == ("bend",)
 
 
 def test_a_cause_held_open_counts_by_the_mean_of_two_readings():
     search = search_of({"bend.size": 0.5})
     larger = search.fits["bend", "ripple"]
-    search.held_open = {"ripple": larger}
-    found = judged(search)
+    search.not_excluded = {"ripple": larger}
+    found = assess_search(search)
     group, chances = found.group, found.chances
     if larger in group:
         exact = probabilities({f.ids: exact_log_evidence(f) for f in (search.best, larger)}, ["ripple"])["ripple"]
@@ -202,7 +204,7 @@ def test_a_cause_held_open_counts_by_the_mean_of_two_readings():
 
 
 def quantified(held_out=0.99, gain=100.0):
-    return Quantified({}, Shrink(held_out, held_out, held_out, held_out), "", (), gain, 1.0)
+    return Quantified({}, ExplainedFraction(held_out, held_out, held_out, held_out), "", (), gain, 1.0)
 
 
 DOWN, CHANCE = VERDICT.down_to_noise, VERDICT.doubted_chance
@@ -213,18 +215,20 @@ DOWN, CHANCE = VERDICT.down_to_noise, VERDICT.doubted_chance
     [(1.65, 1.0, 0.5, True), (1.63, 1.0, 0.5, False), (1.65, 1.0, 0.0, False), (0.0, 0.0, 0.5, False)],
 )
 def test_causes_stand_by_their_gain_on_samples_held_back(gain, error, held_out, stands):
-    found = Quantified({}, Shrink(0.5, 0.4, 0.6, held_out), "", (), gain, error)
-    assert found.stands is stands
+    found = Quantified({}, ExplainedFraction(0.5, 0.4, 0.6, held_out), "", (), gain, error)
+    assert found.is_supported is stands
 
 
 def test_another_noise_is_kept_only_where_it_explains(monkeypatch):
     model = SimpleNamespace(is_clean=lambda found: found == "clean", is_uneven=lambda found: False)
     start = SimpleNamespace(hypothesis=SimpleNamespace(of_base=slice(0, 0)), coordinates=np.zeros(0))
     closest = SimpleNamespace(hypothesis=None, coordinates=np.zeros(0), chi2=1.0)
-    first = SimpleNamespace(model=model, best="left", closest=closest, start=start, candidates=(), say=lambda _: None)
-    monkeypatch.setattr(search, "coloured", lambda found: None)
-    assert under_its_floor(first) is first
-    monkeypatch.setattr(search, "coloured", lambda found: "problem")
+    first = SimpleNamespace(
+        model=model, best="left", closest=closest, start=start, candidates=(), on_progress=lambda _: None
+    )
+    monkeypatch.setattr(search, "with_correlated_noise", lambda found: None)
+    assert search_under_correlated_noise(first) is first
+    monkeypatch.setattr(search, "with_correlated_noise", lambda found: "problem")
     monkeypatch.setattr(search, "fit", lambda problem, hypothesis, start, steps=20: closest)
     for unmodelled, best, is_floor_before, is_floor, kept in (
         (None, "clean", True, True, True),
@@ -237,16 +241,16 @@ def test_another_noise_is_kept_only_where_it_explains(monkeypatch):
         answers = {id(closest): is_floor_before, id(best): is_floor}
         monkeypatch.setattr(search, "is_noise", lambda found, answers=answers: answers[id(found)])
         monkeypatch.setattr(search, "Search", lambda base, candidates, say, again=again: again)
-        assert (under_its_floor(first) is again) is kept
-    assert under_its_floor(SimpleNamespace(model=model, best="clean", closest=closest)).best == "clean"
+        assert (search_under_correlated_noise(first) is again) is kept
+    assert search_under_correlated_noise(SimpleNamespace(model=model, best="clean", closest=closest)).best == "clean"
 
 
 def test_mistaken_recordings_name_and_foretell_nothing():
     base = UNITS[0][()]
     found = Diagnosis.stopped(base.problem.model, base, (of_gain("y", (1,), 2.0, Reason("gap.next.no_gap")),))
     assert found.verdict == "data" and {c.probability for c in found.causes} == {0.0}
-    assert found.shrink.predicted == found.shrink.held_out == 0.0
-    assert found.next_experiment.profile == "none" and found.told is None
+    assert found.explained_fraction.predicted == found.explained_fraction.held_out == 0.0
+    assert found.next_experiment.profile == "none" and found.identifiability is None
     assert found.case is base.problem.case
     assert found.gap["y"].rmse_before == pytest.approx(np.sqrt(np.mean((measured_of(base) - base.predicted) ** 2)))
 
@@ -281,7 +285,7 @@ def test_the_diagnosis_of_a_line_is_that_of_its_algebra(line_diagnosis):
     assert report["serial"] == "S7" and report["ambiguous_with"] == []
     cause = found.causes[0]
     assert (cause.effect, cause.stage) == ("bend", "part of bend") and cause.probability > 0.95
-    assert cause.shrink == pytest.approx(found.shrink.held_out)
+    assert cause.shrink == pytest.approx(found.explained_fraction.held_out)
     assert cause.parameters["size"].low < exact[2] < cause.parameters["size"].high
     left = lm.left_of(lm.design(runs), lm.measured(runs))
     gap = found.gap["y"]
@@ -290,7 +294,7 @@ def test_the_diagnosis_of_a_line_is_that_of_its_algebra(line_diagnosis):
     shape = lm.design(runs, "bend")[:, 2]
     hidden = 1 - np.sum(lm.left_of(lm.design(runs), shape) ** 2) / np.sum(shape**2)
     assert found.hidden_fraction["bend"] == pytest.approx(hidden, abs=1e-3)
-    assert found.places[0].stage == "part of bend" and found.places[0].share == pytest.approx(1.0)
+    assert found.locations[0].stage == "part of bend" and found.locations[0].share == pytest.approx(1.0)
     assert found.explained_share > 0.95 and found.partial is None and found.residual is None
     assert found.next_experiment.profile == "none"
     assert len(found.chosen) == 3
@@ -298,14 +302,14 @@ def test_the_diagnosis_of_a_line_is_that_of_its_algebra(line_diagnosis):
 
 def test_no_gap_and_an_unknown_one():
     clean = diagnose_simulator(lm.LINE, lm.runs_of({}, (60, 71, 48), seed=4))
-    assert clean.verdict == "no_gap" and clean.places == () and clean.best.ids == ()
+    assert clean.verdict == "no_gap" and clean.locations == () and clean.best.ids == ()
     assert clean.next_experiment.why.code == "gap.next.no_gap"
     strange = [
         replace(r, columns={**r.columns, "y": r.columns["y"] + 0.3 * np.sign(np.sin(5 * r.columns["x"]))})
         for r in lm.runs_of({}, (80, 91, 78), seed=4)
     ]
     unknown = diagnose_simulator(lm.LINE, strange)
-    assert unknown.verdict == "unknown" and unknown.places[0].stage == "unknown"
+    assert unknown.verdict == "unknown" and unknown.locations[0].stage == "unknown"
     assert unknown.next_experiment.why.code == "gap.next.add_candidate"
     assert all(c.probability < 0.31 for c in unknown.causes)
     with pytest.raises(InputError, match="no run"):
@@ -314,7 +318,7 @@ def test_no_gap_and_an_unknown_one():
 
 def test_a_check_tells_without_a_search():
     mistakes, told = check_simulator(lm.LINE, lm.runs_of({"bend.size": 0.2}))
-    assert mistakes == () and told["bend"].is_told
+    assert mistakes == () and told["bend"].is_identifiable
     dead = [replace(r, columns={**r.columns, "y": np.ones(len(r))}) if r.name == "2" else r for r in lm.runs_of({})]
     mistakes, told = check_simulator(lm.LINE, dead)
     assert mistakes[0].what == "constant" and told is None

@@ -30,8 +30,8 @@ from softcal.core.gap.simulator_reach import (
     SimulatorTerm,
     against_others,
     cut_off,
+    recording_mistakes,
     shifted,
-    shown,
     term_of,
     terms_of,
     with_terms,
@@ -163,12 +163,12 @@ def test_offsets_are_put_into_a_prediction_as_they_are_said():
     clean, out = problem.clean(BASE, EXACT, {}), problem.clean(BASE, EXACT, sizes)
     for k, block in enumerate(problem.blocks):
         t_s = runs[k].elapsed_s
-        late = CubicSpline(t_s, clean[block.place])(np.clip(t_s - 0.06, 0.0, None))
-        np.testing.assert_allclose(out[block.place], late * 1.1 + 0.4 + 0.03 * t_s, atol=1e-12)
+        late = CubicSpline(t_s, clean[block.rows])(np.clip(t_s - 0.06, 0.0, None))
+        np.testing.assert_allclose(out[block.rows], late * 1.1 + 0.4 + 0.03 * t_s, atol=1e-12)
     rows = problem.directions(BASE, EXACT, out, sizes)
     for k in range(2):
         zero, gain, drift, delay, _ = rows[k]
-        late = (out[problem.blocks[k].place] - 0.4 - 0.03 * runs[k].elapsed_s) / 1.1
+        late = (out[problem.blocks[k].rows] - 0.4 - 0.03 * runs[k].elapsed_s) / 1.1
         np.testing.assert_allclose(gain, late, atol=1e-9)
         np.testing.assert_allclose([zero, drift], [np.ones(80), runs[k].elapsed_s])
         np.testing.assert_allclose(delay[5:-1], -np.gradient(late, runs[k].elapsed_s)[5:-1], atol=2e-2)
@@ -202,7 +202,7 @@ def test_answers_are_kept_and_failures_counted():
     assert Calls().record() is None
     for k in range(210):
         problem.predict(BASE, np.array([1.0, 1.0 + 0.001 * k]))
-    assert len(problem.model.calls(problem.case).known) == 200
+    assert len(problem.model.calls(problem.case).answers) == 200
     before = len(calls)
     problem.predict(BASE, np.array([1.0, 1.209]))
     assert len(calls) == before
@@ -343,7 +343,7 @@ def test_names_and_neutral_values_are_those_of_every_parameter():
     simulator = replace(LINE, candidates=(BEND, two))
     assert simulator.parameter_names == ["level", "slope", "bend.size", "wear.size", "wear.tau"]
     assert simulator.neutral_values == {"bend.size": 0.0, "wear.size": 0.0, "wear.tau": 3.0}
-    named = simulator.named(Hypothesis((two,), of_all=LINE.base), np.array([1.0, 2.0, 0.3, 4.0]))
+    named = simulator.parameter_values(Hypothesis((two,), of_all=LINE.base), np.array([1.0, 2.0, 0.3, 4.0]))
     assert named == {"level": 1.0, "slope": 2.0, "bend.size": 0.0, "wear.size": 0.3, "wear.tau": 4.0}
 
 
@@ -507,17 +507,19 @@ def plain(count=60, step_s=0.05, **more):
 
 def test_another_unit_of_time_is_shown_by_its_steps():
     rows = (plain(), plain(61), plain(62, step_s=50.0))
-    (one,) = shown(LINE, case_of(*rows), CONFIG)
+    (one,) = recording_mistakes(LINE, case_of(*rows), CONFIG)
     assert (one.channel, one.runs, one.factor) == ("t_s", (3,), 1e-3)
-    assert shown(LINE, case_of(*rows[1:]), CONFIG) == ()
-    assert shown(LINE, case_of(plain(), plain(61), plain(62, step_s=0.4)), CONFIG) == ()
-    assert shown(LINE, case_of(plain(), plain(61), plain(62, step_s=0.05 / 60.0)), CONFIG)[0].factor == 60.0
+    assert recording_mistakes(LINE, case_of(*rows[1:]), CONFIG) == ()
+    assert recording_mistakes(LINE, case_of(plain(), plain(61), plain(62, step_s=0.4)), CONFIG) == ()
+    assert (
+        recording_mistakes(LINE, case_of(plain(), plain(61), plain(62, step_s=0.05 / 60.0)), CONFIG)[0].factor == 60.0
+    )
 
 
 def test_a_dead_channel_is_shown():
-    (one,) = shown(LINE, case_of(plain(), plain(61, y=np.ones(61))), CONFIG)
+    (one,) = recording_mistakes(LINE, case_of(plain(), plain(61, y=np.ones(61))), CONFIG)
     assert (one.what, one.channel, one.runs) == ("constant", "y", (2,))
-    (one,) = shown(LINE, case_of(plain(y=np.ones(60)), plain(61, y=np.ones(61))), CONFIG)
+    (one,) = recording_mistakes(LINE, case_of(plain(y=np.ones(60)), plain(61, y=np.ones(61))), CONFIG)
     assert one.runs == ()
 
 
@@ -665,7 +667,7 @@ def test_halves_of_a_channel_are_those_above_its_median_and_rate():
     found = fitted(problem_of(smooth_runs()))
     for block in found.problem.blocks:
         is_high, is_quick = found.problem.model.halves(found, block)
-        level = found.predicted[block.place]
+        level = found.predicted[block.rows]
         np.testing.assert_array_equal(is_high, level > np.median(level))
         rate = np.abs(np.gradient(level, found.problem.case.runs[block.run].t_s))
         np.testing.assert_array_equal(is_quick, rate > np.median(rate))

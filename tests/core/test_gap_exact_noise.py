@@ -10,9 +10,17 @@ from scipy.stats import multivariate_normal, norm
 
 from softcal.core.gap.case import straightened
 from softcal.core.gap.fit import structure
-from softcal.core.gap.linear import Colour, Stretch, filter_of, filtered, log_likelihood, orthonormal, projected
-from softcal.core.gap.method import METHOD, ColourConfig
-from softcal.core.gap.residual import coloured, is_noise, noise_chance, noise_levels, noise_of, read_noise
+from softcal.core.gap.linear import (
+    NoiseCorrelation,
+    Stretch,
+    filter_of,
+    filtered,
+    log_likelihood,
+    orthonormal,
+    projected,
+)
+from softcal.core.gap.method import METHOD, NoiseCorrelationConfig
+from softcal.core.gap.residual import is_noise, noise_chance, noise_levels, noise_of, read_noise, with_correlated_noise
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.simulator_reach import columns_of
 from tests.core.linear_mechanism import BEND, SIGMA, design, fitted, left_of, measured, problem_of, runs_of
@@ -38,7 +46,7 @@ def test_the_likelihood_is_that_of_the_gaussian():
     law = multivariate_normal(cov=covariance(T_s)[np.ix_(seen, seen)])
     # Up to the constant of the Gaussian, n/2·ln 2π.
     expected = sum(law.logpdf(s.error[seen]) + 0.5 * seen.sum() * np.log(2 * np.pi) for s in stretches)
-    assert log_likelihood(stretches, WHITE, Colour(SPREAD, FADING_s)) == pytest.approx(expected)
+    assert log_likelihood(stretches, WHITE, NoiseCorrelation(SPREAD, FADING_s)) == pytest.approx(expected)
 
 
 def test_a_filter_makes_independent_values_of_variance_1():
@@ -60,7 +68,7 @@ def test_slow_noise_is_the_sum_of_all_correlations():
     step_s = 0.05
     lags = np.arange(-2000, 2001)
     expected = np.sum(SPREAD**2 * np.exp(-np.abs(lags) * step_s / FADING_s))
-    assert Colour(SPREAD, FADING_s).slow_variance(step_s) == pytest.approx(expected)
+    assert NoiseCorrelation(SPREAD, FADING_s).slow_variance(step_s) == pytest.approx(expected)
 
 
 def long_record(seed, runs=2, count=400, step_s=0.05):
@@ -73,26 +81,26 @@ def test_the_noise_that_is_read_is_the_likeliest():
     found = read_noise(stretches, METHOD.colour)
 
     def lost(x):
-        return -log_likelihood(stretches, np.exp(x[0]), Colour(np.exp(x[1]), np.exp(x[2])))
+        return -log_likelihood(stretches, np.exp(x[0]), NoiseCorrelation(np.exp(x[1]), np.exp(x[2])))
 
     best = minimize(
         lost, np.log([WHITE, SPREAD, FADING_s]), method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-4}
     )
     assert found.log_likelihood == pytest.approx(-best.fun, abs=0.1)
-    assert log_likelihood(stretches, found.white, found.colour) == pytest.approx(found.log_likelihood, abs=1e-6)
+    assert log_likelihood(stretches, found.white, found.correlation) == pytest.approx(found.log_likelihood, abs=1e-6)
     assert found.white == pytest.approx(np.exp(best.x[0]), rel=0.1)
-    assert found.colour.spread == pytest.approx(np.exp(best.x[1]), rel=0.1)
-    assert found.colour.fading_s == pytest.approx(np.exp(best.x[2]), rel=0.15)
+    assert found.correlation.spread == pytest.approx(np.exp(best.x[1]), rel=0.1)
+    assert found.correlation.fading_s == pytest.approx(np.exp(best.x[2]), rel=0.15)
     every = np.concatenate([s.error for s in stretches])
     alone = norm.logpdf(every, 0.0, np.sqrt(np.mean(every**2))).sum() + 0.5 * len(every) * np.log(2 * np.pi)
     assert found.gain == pytest.approx(found.log_likelihood - alone, abs=1e-6)
 
 
 def test_a_fading_time_stays_within_its_bounds():
-    config = ColourConfig(longest_s=0.2)
-    assert read_noise(long_record(5), config).colour.fading_s == pytest.approx(0.2, rel=0.02)
-    config = ColourConfig(shortest_s=0.8)
-    assert read_noise(long_record(5), config).colour.fading_s == pytest.approx(0.8, rel=0.02)
+    config = NoiseCorrelationConfig(longest_s=0.2)
+    assert read_noise(long_record(5), config).correlation.fading_s == pytest.approx(0.2, rel=0.02)
+    config = NoiseCorrelationConfig(shortest_s=0.8)
+    assert read_noise(long_record(5), config).correlation.fading_s == pytest.approx(0.8, rel=0.02)
 
 
 def test_white_noise_gains_nothing_by_a_fading_part():
@@ -117,7 +125,7 @@ def test_a_rig_that_is_slower_is_read_the_same():
     stretches = long_record(5)
     slow = [replace(s, step_s=10.0 * s.step_s) for s in stretches]
     one, other = read_noise(stretches, METHOD.colour), read_noise(slow, METHOD.colour.slower(10.0))
-    assert other.colour.fading_s == pytest.approx(10.0 * one.colour.fading_s, rel=1e-6)
+    assert other.correlation.fading_s == pytest.approx(10.0 * one.correlation.fading_s, rel=1e-6)
     assert (other.white, other.gain) == pytest.approx((one.white, one.gain))
 
 
@@ -138,7 +146,7 @@ def faded(seed=0, spread=0.15, **truth):
 
 def test_a_problem_with_fading_noise_is_generalised_least_squares():
     runs = faded()
-    problem = problem_of(runs).with_noise({"y": SIGMA}, {"y": Colour(0.15, FADING_s)})
+    problem = problem_of(runs).with_noise({"y": SIGMA}, {"y": NoiseCorrelation(0.15, FADING_s)})
     whole = np.zeros((700, 700))
     for k, at in enumerate((slice(0, 400), slice(400, 700))):
         whole[at, at] = covariance(runs[k].t_s, SIGMA, 0.15)
@@ -150,9 +158,9 @@ def test_a_problem_with_fading_noise_is_generalised_least_squares():
     np.testing.assert_allclose(found.covariance, np.linalg.inv(columns.T @ weighted), rtol=1e-4)
     error = y - columns @ exact
     assert found.chi2 == pytest.approx(error @ np.linalg.solve(whole, error), rel=1e-6)
-    assert problem.floor("y") == pytest.approx(np.hypot(SIGMA, 0.15))
-    np.testing.assert_allclose(problem.whole_noise, np.hypot(SIGMA, 0.15))
-    np.testing.assert_allclose(problem.slow_noise**2, SIGMA**2 + Colour(0.15, FADING_s).slow_variance(0.05))
+    assert problem.noise_floor("y") == pytest.approx(np.hypot(SIGMA, 0.15))
+    np.testing.assert_allclose(problem.total_noise, np.hypot(SIGMA, 0.15))
+    np.testing.assert_allclose(problem.slow_noise**2, SIGMA**2 + NoiseCorrelation(0.15, FADING_s).slow_variance(0.05))
     np.testing.assert_allclose(problem.noise, SIGMA)
     assert problem.count == 700
 
@@ -166,8 +174,8 @@ def test_noise_is_read_from_a_residual_and_called_fading_by_its_gain():
     assert noise_of(found) == (noise_levels(found), {})
     white = fitted(problem_of(runs_of({}, COUNTS)))
     assert noise_of(white, ["y"])[1] == {}
-    assert coloured(white) is None
-    assert coloured(found).colour == colours
+    assert with_correlated_noise(white) is None
+    assert with_correlated_noise(found).correlation == colours
 
 
 def test_a_noise_level_is_that_of_second_differences_whatever_is_smooth():
@@ -200,7 +208,7 @@ def test_structure_is_the_excess_of_block_sums():
     for length in METHOD.structure.block_samples:
         sums = []
         for block in found.problem.blocks:
-            part = found.residual[block.place]
+            part = found.residual[block.rows]
             sums += [part[k : k + length].sum() / np.sqrt(length) for k in range(0, len(part) - length + 1, length)]
         if len(sums) > 3:
             best = max(best, (np.mean(np.square(sums)) - 1.0) / np.sqrt(2.0 / len(sums)))
@@ -266,16 +274,18 @@ class Plain(SimulatorModel):
         return []
 
     def halves(self, found, block):
-        return (np.arange(block.place.stop - block.place.start) % 2 == 0,)
+        return (np.arange(block.rows.stop - block.rows.start) % 2 == 0,)
 
 
 def test_noise_of_the_right_colour_is_noise_and_a_wander_is_none():
     runs = faded(spread=0.1)
-    problem = problem_of(runs).with_noise({"y": SIGMA}, {"y": Colour(0.1, FADING_s)})
+    problem = problem_of(runs).with_noise({"y": SIGMA}, {"y": NoiseCorrelation(0.1, FADING_s)})
     found = fitted(problem)
     assert is_noise(replace(found, problem=replace(problem, model=Plain(found.problem.model.simulator))))
-    longest_s = problem.colour_config.longest_s
-    wander = fitted(problem.with_noise({"y": SIGMA}, {"y": Colour(0.1, 0.95 * METHOD.floor.wanders / 0.9 * longest_s)}))
+    longest_s = problem.correlation_config.longest_s
+    wander = fitted(
+        problem.with_noise({"y": SIGMA}, {"y": NoiseCorrelation(0.1, 0.95 * METHOD.floor.wanders / 0.9 * longest_s)})
+    )
     assert not is_noise(replace(wander, problem=replace(wander.problem, model=Plain(found.problem.model.simulator))))
 
 

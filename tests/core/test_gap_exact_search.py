@@ -9,7 +9,7 @@ import pytest
 from softcal.app.gap.diagnose import apply_report
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import checked, diagnose
+from softcal.core.gap.diagnosis import check_case, diagnose
 from softcal.core.gap.evidence import log_evidences
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.places import explained_twin
@@ -67,9 +67,9 @@ def test_a_cause_alone_is_named_with_its_size(name):
     estimate = first.parameters[size]
     sigma = (estimate.high - estimate.low) / (2 * 1.645)
     assert abs(estimate.value - CAUSES[name][size]) < 5 * sigma + 0.02 * abs(CAUSES[name][size])
-    assert found.explained_share > 0.8 and found.shrink.held_out > 0.7
-    assert abs(found.shrink.predicted - found.shrink.held_out) < 0.2
-    assert found.places[0].stage == EFFECTS[name].stage
+    assert found.explained_share > 0.8 and found.explained_fraction.held_out > 0.7
+    assert abs(found.explained_fraction.predicted - found.explained_fraction.held_out) < 0.2
+    assert found.locations[0].stage == EFFECTS[name].stage
     assert 0.0 <= found.hidden_fraction[name] <= 1.0
 
 
@@ -82,8 +82,8 @@ def drifting():
 def test_two_causes_share_what_they_take(drifting):
     assert drifting.best.ids == ("loadcell_drift", "readout_lag")
     shares = {c.effect: c.shrink for c in drifting.causes}
-    assert shares["loadcell_drift"] + shares["readout_lag"] == pytest.approx(drifting.shrink.held_out)
-    places = drifting.places[:2]
+    assert shares["loadcell_drift"] + shares["readout_lag"] == pytest.approx(drifting.explained_fraction.held_out)
+    places = drifting.locations[:2]
     assert {p.stage for p in places} == {"load_cell", "electronics"}
     assert sum(p.share for p in places) == pytest.approx(1.0)
 
@@ -110,9 +110,7 @@ def test_a_report_can_be_written_and_its_twin_run(drifting):
     depth = np.maximum(0.0, stage - drifting.best.base.u0_mm)
     base = drifting.best.base
     block = drifting.best.problem.blocks_of("force_N")[0]
-    np.testing.assert_allclose(
-        TWIN.load_of(drifting.best)[block.place], base.k1_N_mm * depth + base.k3_N_mm3 * depth**3
-    )
+    np.testing.assert_allclose(TWIN.load_of(drifting.best)[block.rows], base.k1_N_mm * depth + base.k3_N_mm3 * depth**3)
 
 
 def test_a_base_parameter_on_its_bound_is_told(drifting):
@@ -129,12 +127,12 @@ def test_a_base_parameter_on_its_bound_is_told(drifting):
 
 def test_sound_recordings_have_no_gap():
     found = diagnose(case_of())
-    assert (found.verdict, found.best.ids, found.places) == ("no_gap", (), ())
+    assert (found.verdict, found.best.ids, found.locations) == ("no_gap", (), ())
     assert all(c.probability < 0.2 for c in found.causes)
     assert found.next_experiment.profile == "long_hold"
     assert found.residual is None and found.partial is None
-    mistakes, told = checked(case_of())
-    assert mistakes == () and told is not None and told["k1_N_mm"].is_told
+    mistakes, told = check_case(case_of())
+    assert mistakes == () and told is not None and told["k1_N_mm"].is_identifiable
 
 
 def wavy(run):
@@ -146,7 +144,7 @@ def test_what_no_cause_explains_is_unknown_and_described():
     found = diagnose(Case("D1", tuple(wavy(r) for r in case.runs)))
     assert found.verdict == "unknown"
     assert all(c.probability <= METHOD.verdict.unknown_trust for c in found.causes)
-    assert found.places[0].stage in ("electronics", "transduction")
+    assert found.locations[0].stage in ("electronics", "transduction")
     assert found.next_experiment.profile != "none"
     assert explained_twin(found.best).effects == ()
     assert found.partial is None or 0.0 < found.partial.share < 1.0
@@ -161,7 +159,7 @@ def test_a_mistake_stops_the_diagnosis(tmp_path):
         apply_report(tmp_path / "twin.json", found.report(), "D1", provenance=None)
     assert not (tmp_path / "twin.json").exists()
     assert found.report()["twin"] is None and found.report()["base_twin"] is None
-    mistakes, told = checked(Case("D1", runs))
+    mistakes, told = check_case(Case("D1", runs))
     assert mistakes == found.mistakes and told is None
     apart = tuple(replace(r, force_N=1.3 * r.force_N) if r.name == "3" else r for r in case_of(runs=4).runs)
     assert diagnose(Case("D1", apart)).mistakes[0].what == "gain"
@@ -216,14 +214,14 @@ def test_causes_that_the_others_imitate_are_held_open(searched, monkeypatch):
     other = next(i for i in both.ids if i != "stress_relaxation")
     best, searched.best = searched.best, both
     monkeypatch.setattr(searched, "is_explained", lambda found: True)
-    monkeypatch.setattr(module, "imitated_causes", lambda best, smaller: [other] if other in smaller else [])
-    searched.hold_open()
+    monkeypatch.setattr(module, "causes_with_surrogate", lambda best, smaller: [other] if other in smaller else [])
+    searched.keep_not_excluded()
     assert searched.best.ids == ("stress_relaxation",)
-    assert searched.held_open == {other: searched.fits[both.ids]}
-    searched.best, searched.held_open = best, {}
+    assert searched.not_excluded == {other: searched.fits[both.ids]}
+    searched.best, searched.not_excluded = best, {}
     monkeypatch.setattr(searched, "is_explained", lambda found: False)
-    monkeypatch.setattr(module, "imitated_causes", lambda best, smaller: list(smaller))
+    monkeypatch.setattr(module, "causes_with_surrogate", lambda best, smaller: list(smaller))
     searched.best = both
-    searched.hold_open()
-    assert searched.best is both and searched.held_open == {}
+    searched.keep_not_excluded()
+    assert searched.best is both and searched.not_excluded == {}
     searched.best = best

@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.experiments import Identifiability, ParameterTold, identifiability, why
-from softcal.core.gap.fit import Lead, Probe, fit, structure
-from softcal.core.gap.linear import Colour
+from softcal.core.gap.experiments import (
+    Identifiability,
+    ParameterIdentifiability,
+    explain_unidentifiable,
+    identifiability,
+)
+from softcal.core.gap.fit import Candidate, Probe, fit, structure
+from softcal.core.gap.linear import NoiseCorrelation
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.mistakes import outlier_run_beside
+from softcal.core.gap.mistakes import outlier_run_with_causes
 from softcal.core.gap.places import loose_noise
 from softcal.core.gap.problem import Hypothesis, Nearby, Problem
 from softcal.core.gap.residual import noise_chance
@@ -56,7 +61,7 @@ def test_a_joined_fit_begins_anew_where_it_brings_too_little(monkeypatch):
         return replace(found, chi2=base.chi2 - gains[len(starts) - 1])
 
     monkeypatch.setattr("softcal.core.gap.search.fit", noted)
-    lead = Lead(BEND, (0.4,), 100.0, 0.0, np.array([0.1, -0.2]))
+    lead = Candidate(BEND, (0.4,), 100.0, 0.0, np.array([0.1, -0.2]))
     for drops, calls, best in (
         ([10.1], 1, 10.1),
         ([9.9, 10.1], 2, 10.1),
@@ -76,7 +81,7 @@ def test_a_joined_fit_begins_anew_where_it_brings_too_little(monkeypatch):
 
 def test_a_level_begins_farther_away_at_a_small_share():
     level = candidate("stop", "wall", Parameter("at", "mm", 1.0, 1e4, 50.0, neutral=np.inf, scale="inverse_square"))
-    lead = Lead(level, (10.0,), 1.0, 0.0, np.zeros(2))
+    lead = Candidate(level, (10.0,), 1.0, 0.0, np.zeros(2))
     base = fitted(problem_of(RUNS))
     assert lead.start(base)[2] == pytest.approx(1.0 / 10.0**2)
     assert lead.start(base, 0.1)[2] == pytest.approx(1.0 / 100.0**2)
@@ -108,10 +113,10 @@ def test_offsets_nearby_add_what_least_squares_finds():
     near = Nearby(rows)
     sizes = near.sizes(problem, clean)
     for k, block in enumerate(problem.blocks):
-        assert sizes[k][0] == pytest.approx(np.mean((Y - clean)[block.place]), rel=1e-4)
+        assert sizes[k][0] == pytest.approx(np.mean((Y - clean)[block.rows]), rel=1e-4)
     out = near.added(problem, clean)
     for k, block in enumerate(problem.blocks):
-        np.testing.assert_allclose(out[block.place], clean[block.place] + sizes[k][0])
+        np.testing.assert_allclose(out[block.rows], clean[block.rows] + sizes[k][0])
     moved = Nearby(rows, {k: np.array([0.1]) for k in range(3)})
     for k in range(3):
         assert moved.sizes(problem, clean)[k][0] == pytest.approx(sizes[k][0], abs=1e-4)
@@ -122,7 +127,7 @@ def test_offsets_nearby_add_what_least_squares_finds():
 
 def told(**change):
     given = {"name": "slope", "is_base": True, "sigma": 1.0, "hidden": 0.5}
-    return ParameterTold(**(given | change))
+    return ParameterIdentifiability(**(given | change))
 
 
 @pytest.mark.parametrize(
@@ -137,16 +142,16 @@ def told(**change):
     ],
 )
 def test_a_reason_is_the_first_that_holds(one, code):
-    assert why(one).code == code
-    assert why(one).values["cure"].code == "gap.told.no_run"
-    assert why(replace(one, by=("wide",))).values["cure"].code == "gap.told.run"
+    assert explain_unidentifiable(one).code == code
+    assert explain_unidentifiable(one).values["cure"].code == "gap.told.no_run"
+    assert explain_unidentifiable(replace(one, by=("wide",))).values["cure"].code == "gap.told.run"
 
 
 def test_what_is_told_shows_by_so_many_sigma_and_is_no_offset():
-    assert told(sigma=TELL.sigma).is_told and not told(sigma=TELL.sigma - 1e-9).is_told
-    assert not told(sigma=99.0, offset="zero of y").is_told and told(offset="zero of y").is_own
+    assert told(sigma=TELL.sigma).is_identifiable and not told(sigma=TELL.sigma - 1e-9).is_identifiable
+    assert not told(sigma=99.0, offset="zero of y").is_identifiable and told(offset="zero of y").is_run_nuisance
     every = Identifiability((told(sigma=99.0), told(name="bend", is_base=False)), (("a", "b"),))
-    assert [one.name for one in every.untold] == ["bend"] and every["bend"].sigma == 1.0
+    assert [one.name for one in every.unidentifiable] == ["bend"] and every["bend"].sigma == 1.0
     record = every.record()
     assert record["base"]["slope"]["is_told"] is True and record["causes"]["bend"]["is_told"] is False
     assert len(record["untold"]) == 2
@@ -158,12 +163,12 @@ def test_a_cause_that_fills_an_offset_to_its_bound_is_no_offset():
         LINE, run=lambda i, p: {"y": p["level"] + p["slope"] * i["x"] + p["bend.size"] * (i["t_s"] - i["t_s"][0])}
     )
     runs = [replace(r, columns={**r.columns, "y": 1 + 2 * r.columns["x"] + 0.4 * r.elapsed_s}) for r in RUNS]
-    for largest, is_own in ((5.0, True), (0.1, False)):
+    for largest, is_run_nuisance in ((5.0, True), (0.1, False)):
         own = replace(tilt, per_run={"y": {"drift": largest}}, candidates=(BEND,))
         base = fitted(problem_of(runs, simulator=own))
         one = identifiability(base, (BEND,))["bend"]
         assert one.own > TELL.own
-        assert one.is_own is is_own and one.offset == ("drift of y" if is_own else "")
+        assert one.is_run_nuisance is is_run_nuisance and one.offset == ("drift of y" if is_run_nuisance else "")
 
 
 # Mistakes beside causes.
@@ -182,7 +187,7 @@ def test_a_mistake_beside_a_cause_must_be_far_ahead():
             base=base, best=alone, fits={(): base, alone.ids: alone}, model=TWIN,
             is_explained=posterior_clean, grown_from=lambda fitted: [],
         )  # fmt: skip
-        found = outlier_run_beside(search)
+        found = outlier_run_with_causes(search)
         assert (found is not None) is is_mistake
         if found:
             assert (found.what, found.channel, found.runs) == ("gain", "force", (1,))
@@ -206,7 +211,7 @@ def test_exchanged_columns_are_found_by_the_simulator():
     model = SimulatorModel(simulator)
     found = against_others(model, model.base_fit(Case("X", tuple(swapped))))
     assert (found.mistake.what, found.mistake.channel, found.mistake.runs) == ("swapped_columns", "x+y", ())
-    assert found.is_claim and found.left < 0.05
+    assert found.is_claim and found.residual < 0.05
     assert against_others(model, model.base_fit(Case("X", tuple(runs)))) is None
 
 
@@ -258,10 +263,10 @@ def test_what_another_channel_leaves_tells_too():
 
 
 def test_a_colour_stays_where_none_is_given():
-    coloured = PROBLEM.with_noise(PROBLEM.sigma, {"output_V": Colour(0.002, 0.5)})
-    assert coloured.with_noise({"force_N": 1.0, "output_V": 1.0}).colour == coloured.colour
-    assert coloured.with_noise(PROBLEM.sigma, {}).colour == {}
-    assert coloured.of_run(CASE.runs[0]).colour == coloured.colour
+    coloured = PROBLEM.with_noise(PROBLEM.sigma, {"output_V": NoiseCorrelation(0.002, 0.5)})
+    assert coloured.with_noise({"force_N": 1.0, "output_V": 1.0}).correlation == coloured.correlation
+    assert coloured.with_noise(PROBLEM.sigma, {}).correlation == {}
+    assert coloured.of_run(CASE.runs[0]).correlation == coloured.correlation
     seen = coloured.seeing(np.ones(len(coloured.measured)))
     np.testing.assert_allclose(seen.whitened(coloured.measured), coloured.whitened(coloured.measured))
 

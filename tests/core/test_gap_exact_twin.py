@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import SHOWN_BY, Case, Run
+from softcal.core.gap.case import CHANNEL_OF_STAGE, Case, Run
 from softcal.core.gap.fit import Map, Probe, Structure, fit, form_of, shares_of_gap, structure
 from softcal.core.gap.linear import COMMON, RigScale, to_fit
 from softcal.core.gap.method import METHOD
@@ -23,9 +23,9 @@ from softcal.core.gap.places import (
     suspects,
     with_constants,
 )
-from softcal.core.gap.problem import BASE, Hypothesis, Problem, own_rows, rows_of_runs
+from softcal.core.gap.problem import BASE, Hypothesis, Problem, nuisance_rows, rows_of_runs
 from softcal.core.gap.residual import with_driving_noise
-from softcal.core.gap.search import best_unmodelled, imitated_causes, imitation, joined, screen
+from softcal.core.gap.search import best_unmodelled, causes_with_surrogate, joined, screen, surrogate_share
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import (
     UNMODELLED_EFFECTS,
@@ -33,9 +33,9 @@ from softcal.core.gap.twin_reach import (
     bases_of,
     changing,
     dither_of,
-    extent_of,
-    is_told,
-    known_by_chain,
+    excitation_of,
+    explanatory_chain_signals,
+    is_resolved,
     menu,
     rough_start,
     terms_of_twin,
@@ -132,7 +132,7 @@ def test_times_of_a_run_count_from_its_first_sample():
     np.testing.assert_allclose(run.elapsed_s, np.arange(400) * 0.02)
     np.testing.assert_allclose(run.step_s, [0.0, *np.full(399, 0.02)])
     np.testing.assert_allclose(run.temperature_rise_K, np.arange(400) * 0.01)
-    assert run.seen_Hz == pytest.approx(50.0)
+    assert run.observed_rate_Hz == pytest.approx(50.0)
     assert run_of().temperature_rise_K is None
 
 
@@ -166,7 +166,7 @@ def test_what_a_case_cannot_show():
     for channel, stages in (("stage_mm", {"motion", "mechanics"}), ("force_N", {"load_cell"}),
                             ("output_V", {"transduction", "electronics", "acquisition"})):  # fmt: skip
         case = case_of(run_of(**{channel: None}))
-        assert set(case.unseen_stages) == stages == {s for s, c in SHOWN_BY.items() if c == channel}
+        assert set(case.unseen_stages) == stages == {s for s, c in CHANNEL_OF_STAGE.items() if c == channel}
         assert not any(e.stage in stages for e in visible_effects(case))
     assert {e.id for e in visible_effects(CASE)} == {i for i, e in EFFECTS.items() if not e.signs.needs}
     warm = case_of(run_of(temperature_C=20.0 + np.arange(400) * 0.01))
@@ -185,7 +185,7 @@ def test_a_channel_changes_by_its_span_in_a_kind_of_run():
     cooler = case_of(run_of(1), replace(dummy, temperature_C=20.0 + 0.9 * (warm - 20.0)))
     assert WARM_DIVIDER not in TWIN.departures(cooler)
     alias = EFFECTS["thermal_drift"].signs.alias
-    assert is_told(case, alias) and not is_told(CASE, alias)
+    assert is_resolved(case, alias) and not is_resolved(CASE, alias)
 
 
 def test_the_size_of_a_rig_is_read_off_its_runs():
@@ -215,7 +215,7 @@ def test_an_output_never_leaves_the_range_of_the_adc():
     problem = PROBLEM.bare
     for rho, end in ((-5.0, 0.0), (5.0, 3.3)):
         out = problem.predict(chain, np.append(AT, rho))
-        volts = np.concatenate([out[b.place] for b in problem.blocks_of("output_V")])
+        volts = np.concatenate([out[b.rows] for b in problem.blocks_of("output_V")])
         assert volts.min() >= 0.0 and volts.max() <= 3.3
         assert end in (volts.min(), volts.max())
 
@@ -229,7 +229,7 @@ def predicted(run, *effects, values=()):
     problem = Problem(TWIN, case_of(run_of(1), run), SIGMA).bare
     x = np.concatenate([AT, *(np.atleast_1d(v) for v in values)])
     out = problem.predict(Hypothesis(tuple(effects)), x)
-    return {b.channel: out[b.place] for b in problem.blocks if b.run == 1}
+    return {b.channel: out[b.rows] for b in problem.blocks if b.run == 1}
 
 
 T100 = np.arange(100) * 0.02
@@ -341,7 +341,7 @@ def test_an_unforeseeable_sample_costs_what_a_right_prediction_would():
     late = problem.predict(Hypothesis((EFFECTS["clock_offset"],)), np.append(AT, -0.1))
     residual = problem.whitened(problem.measured - late)
     for block in problem.blocks_of("output_V"):
-        np.testing.assert_allclose(residual[block.place][-5:], 1.0)
+        np.testing.assert_allclose(residual[block.rows][-5:], 1.0)
 
 
 # Base fits.
@@ -387,7 +387,7 @@ def test_a_rough_start_is_near_the_truth():
     assert (alone[3], alone[4]) == pytest.approx((4.0, 0.06), rel=0.1)
     no_force = Hypothesis().split(rough_start(case_of(run_of(force_N=None))))[0]
     assert no_force[0] == pytest.approx(0.35, abs=0.3)
-    np.testing.assert_allclose(TWIN.base_beside(CASE).coordinates, rough_start(CASE))
+    np.testing.assert_allclose(TWIN.base_of_mistaken_case(CASE).coordinates, rough_start(CASE))
 
 
 def test_a_base_is_fitted_with_the_noise_of_its_residual():
@@ -415,7 +415,7 @@ def test_channels_determine_parameters(missing, free):
 
 def test_extents_are_read_off_the_case():
     found = pad_fit()
-    at = extent_of(found)
+    at = excitation_of(found)
     assert at.depth_mm == pytest.approx(max(r.stage_mm.max() for r in CASE.runs) - found.base.u0_mm)
     assert at.force_N == max(r.force_N.max() for r in CASE.runs)
     assert (at.lowest_V, at.highest_V) == (
@@ -423,7 +423,7 @@ def test_extents_are_read_off_the_case():
         max(r.output_V.max() for r in CASE.runs),
     )
     assert (at.duration_s, at.period_s, at.series_ohm) == pytest.approx((399 * 0.02, 0.02, 10.0))
-    blind = extent_of(fit(Problem(TWIN, case_of(run_of(force_N=None)), {"output_V": 0.001}), Hypothesis(), AT))
+    blind = excitation_of(fit(Problem(TWIN, case_of(run_of(force_N=None)), {"output_V": 0.001}), Hypothesis(), AT))
     assert blind.force_N == pytest.approx(elastic(run_of().stage_mm.max() - 0.35), rel=0.05)
 
 
@@ -447,9 +447,9 @@ def test_bases_of_runs_differ_by_seat_and_resistance():
     sizes = {0: np.array([0.3, 0.01, 0.02]), 1: np.zeros(3)}
     out, clean = problem.clean(Hypothesis(), AT, sizes), problem.clean(Hypothesis(), AT, {})
     depth = np.maximum(0.0, CASE.runs[0].stage_mm - 0.37)
-    np.testing.assert_allclose(out[problem.blocks[0].place], elastic(depth) + 0.3, atol=1e-12)
-    np.testing.assert_allclose(out[problem.blocks[1].place], volt(4.04 / (1 - 0.06 * elastic(depth))), atol=1e-12)
-    np.testing.assert_array_equal(out[problem.blocks[2].place], clean[problem.blocks[2].place])
+    np.testing.assert_allclose(out[problem.blocks[0].rows], elastic(depth) + 0.3, atol=1e-12)
+    np.testing.assert_allclose(out[problem.blocks[1].rows], volt(4.04 / (1 - 0.06 * elastic(depth))), atol=1e-12)
+    np.testing.assert_array_equal(out[problem.blocks[2].rows], clean[problem.blocks[2].rows])
 
 
 def test_directions_of_offsets_are_derivatives():
@@ -463,7 +463,7 @@ def test_directions_of_offsets_are_derivatives():
             change = (problem.clean(Hypothesis(), AT, sizes) - clean) / eps
             bends = np.abs(rows[run][kind] - change) > 1e-3 * max(np.abs(change).max(), 1e-12)
             assert bends.sum() <= 4, (run, kind)
-    every, kinds = own_rows(problem, problem.directions(Hypothesis(), AT, clean, {}))
+    every, kinds = nuisance_rows(problem, problem.directions(Hypothesis(), AT, clean, {}))
     assert kinds == (0, 0, 1, 2)
     np.testing.assert_allclose(every[2], rows[1][1] - rows[0][1])
     np.testing.assert_allclose(every[0], rows[0][0])
@@ -533,7 +533,7 @@ def test_shares_of_a_gap_are_those_of_its_energy():
     loading = lambda r: np.gradient(r.stage_mm, r.t_s) > 0  # noqa: E731
     found = spoilt_fit("force_N", lambda r: 0.3 * loading(r) * (r.stage_mm > 0.35))
     blocks = found.problem.blocks_of("force_N")
-    excess = np.concatenate([found.residual[b.place] ** 2 - 1 for b in blocks])
+    excess = np.concatenate([found.residual[b.rows] ** 2 - 1 for b in blocks])
     every = np.concatenate([loading(found.problem.case.runs[b.run]) for b in blocks])
     rare = np.arange(len(every)) < 3
     nearly = ~rare
@@ -680,11 +680,11 @@ def test_loose_noise_comes_first_where_maps_are_hardly_dirty():
 
 def test_the_chain_offers_what_its_base_knows():
     found = pad_fit(Problem(TWIN, case_of(run_of(temperature_C=20.0 + np.arange(400) * 0.01)), SIGMA))
-    columns = known_by_chain(found, "output_V")
+    columns = explanatory_chain_signals(found, "output_V")
     run, block = found.problem.case.runs[0], found.problem.blocks_of("output_V")[0]
-    rows = [c[block.place] for c in columns]
+    rows = [c[block.rows] for c in columns]
     other = found.problem.blocks_of("force_N")[0]
-    assert all(not c[other.place].any() for c in columns)
+    assert all(not c[other.rows].any() for c in columns)
     depth = np.maximum(run.stage_mm - found.base.u0_mm, 0.0)
     load = elastic(depth) / elastic(depth).max()
     for expected in (run.elapsed_s, run.stage_mm, run.temperature_rise_K, np.maximum.accumulate(depth) / depth.max()):
@@ -722,7 +722,7 @@ def test_a_departure_of_another_kind_is_found(name):
     usual = 8.0 * one.parameters[0].usual
     made = PROBLEM.bare.predict(Hypothesis((one,)), np.append(AT, usual))
     noise = PROBLEM.measured - PROBLEM.bare.predict(Hypothesis(), AT)
-    parts = {(b.run, b.channel): (made + noise)[b.place] for b in PROBLEM.blocks}
+    parts = {(b.run, b.channel): (made + noise)[b.rows] for b in PROBLEM.blocks}
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
@@ -742,18 +742,20 @@ def test_a_free_form_of_a_cause_takes_what_looks_like_it():
         Hypothesis(), AT
     )
     noise = PROBLEM.measured - PROBLEM.bare.predict(Hypothesis(), AT)
-    parts = {(b.run, b.channel): (made + more + noise)[b.place] for b in PROBLEM.blocks}
+    parts = {(b.run, b.channel): (made + more + noise)[b.rows] for b in PROBLEM.blocks}
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
     problem = Problem(TWIN, Case("S", runs), SIGMA).bare
     rest = fit(problem, Hypothesis((relax,)), np.array([*AT, 0.2, np.log(0.5)]))
     best = replace(rest, chi2=float(problem.count))
-    assert 0.5 < imitation(rest, best) <= 1.2
-    assert imitation(rest, rest) == 0.0
+    assert 0.5 < surrogate_share(rest, best) <= 1.2
+    assert surrogate_share(rest, rest) == 0.0
     bare = fit(problem, Hypothesis(), AT)
-    assert imitation(bare, best) == 0.0
-    assert imitated_causes(best, {"x": rest}) == (["x"] if imitation(rest, best) >= METHOD.unmodelled.imitated else [])
+    assert surrogate_share(bare, best) == 0.0
+    assert causes_with_surrogate(best, {"x": rest}) == (
+        ["x"] if surrogate_share(rest, best) >= METHOD.unmodelled.imitated else []
+    )
 
 
 # Twins to go on with.
@@ -809,7 +811,7 @@ def test_constants_of_a_form_become_one_number_for_all_runs():
 def test_a_lead_of_the_twin_ends_at_the_truth():
     made = PROBLEM.bare.predict(Hypothesis((EFFECTS["wiring_resistance"],)), np.append(AT, 1.5))
     noise = PROBLEM.measured - PROBLEM.bare.predict(Hypothesis(), AT)
-    parts = {(b.run, b.channel): (made + noise)[b.place] for b in PROBLEM.blocks}
+    parts = {(b.run, b.channel): (made + noise)[b.rows] for b in PROBLEM.blocks}
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )

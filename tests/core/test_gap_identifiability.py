@@ -61,13 +61,13 @@ def test_what_no_run_moves_is_not_told_and_the_quickest_run_that_would_is_named(
     # By hand: a drift of 0.01 per s under noise of 0.01, less what the load can imitate of it.
     load = LIGHT["load_N"]
     by_hand = np.linalg.norm(T - load * (T @ load) / (load @ load))
-    assert told["wear"].is_told and told["wear"].sigma == pytest.approx(by_hand, rel=0.1)
+    assert told["wear"].is_identifiable and told["wear"].sigma == pytest.approx(by_hand, rel=0.1)
 
 
 def test_two_parameters_that_act_as_a_product_are_traded_for_one_another() -> None:
     _, told = check_simulator(SIMULATOR, [run("light", LIGHT)])
     assert told is not None
-    assert told["length"].beside == ("softness",) and not told["length"].is_told and told["length"].by == ()
+    assert told["length"].beside == ("softness",) and not told["length"].is_identifiable and told["length"].by == ()
 
 
 @pytest.mark.parametrize("name", SIMULATOR.experiments)
@@ -75,8 +75,8 @@ def test_once_that_run_is_made_the_cause_is_told(name: str) -> None:
     _, before = check_simulator(SIMULATOR, [run("light", LIGHT)])
     _, after = check_simulator(SIMULATOR, [run("light", LIGHT), run(name, SIMULATOR.experiments[name].inputs)])
     assert before is not None and after is not None
-    promised = {one.name for one in before.untold if name in one.by}
-    assert promised and all(after[one].is_told for one in promised)
+    promised = {one.name for one in before.unidentifiable if name in one.by}
+    assert promised and all(after[one].is_identifiable for one in promised)
 
 
 def test_causes_that_move_a_channel_alike_are_told_of() -> None:

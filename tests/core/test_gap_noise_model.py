@@ -12,8 +12,8 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import fit
-from softcal.core.gap.linear import Colour, Stretch, filter_of, filtered, log_likelihood, to_fit
-from softcal.core.gap.method import ColourConfig
+from softcal.core.gap.linear import NoiseCorrelation, Stretch, filter_of, filtered, log_likelihood, to_fit
+from softcal.core.gap.method import NoiseCorrelationConfig
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import is_noise, read_noise
@@ -37,14 +37,14 @@ def _fading(rng: np.random.Generator, count: int, spread: float, fading_s: float
     return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
 
 
-def _covariance(count: int, white: float, colour: Colour) -> Array:
+def _covariance(count: int, white: float, colour: NoiseCorrelation) -> Array:
     fade = colour.spread**2 * np.exp(-STEP_s * np.arange(count) / colour.fading_s)
     return np.asarray(toeplitz(fade) + white**2 * np.eye(count))
 
 
 @pytest.mark.parametrize("left_out", [0, 37])
 def test_likelihood_and_whitening_are_those_of_the_whole_covariance(left_out: int) -> None:
-    rng, count, white, colour = np.random.default_rng(3), 200, 0.7, Colour(1.3, 0.3)
+    rng, count, white, colour = np.random.default_rng(3), 200, 0.7, NoiseCorrelation(1.3, 0.3)
     values, use = rng.normal(size=count), np.ones(count)
     use[rng.permutation(count)[:left_out]] = 0.0
     seen = use > 0.0
@@ -63,10 +63,10 @@ def test_noise_is_read_as_it_was_made(fading_s: float) -> None:
     parts = [
         Stretch(_fading(rng, 2000, 2.0, fading_s) + rng.normal(0.0, 1.0, 2000), step_s, np.ones(2000)) for _ in range(6)
     ]
-    found = read_noise(parts, ColourConfig())
+    found = read_noise(parts, NoiseCorrelationConfig())
     assert found.white == pytest.approx(1.0, rel=0.05)
-    assert found.colour.spread == pytest.approx(2.0, rel=0.25)
-    assert found.colour.fading_s == pytest.approx(fading_s, rel=0.5)
+    assert found.correlation.spread == pytest.approx(2.0, rel=0.25)
+    assert found.correlation.fading_s == pytest.approx(fading_s, rel=0.5)
     assert found.gain > 100.0
 
 
@@ -74,7 +74,7 @@ def test_white_noise_has_no_colour() -> None:
     rng, step_s = np.random.default_rng(6), np.full(2000, STEP_s)
     for _ in range(20):
         stretch = Stretch(rng.normal(0.0, 3.0, 2000), step_s, np.ones(2000))
-        assert read_noise([stretch], ColourConfig()).gain < ColourConfig().gain
+        assert read_noise([stretch], NoiseCorrelationConfig()).gain < NoiseCorrelationConfig().gain
 
 
 def _case(seed: int, *effects: EffectSetting, volts: float = 0.0, newtons: float = 0.0, fading_s: float = 0.5) -> Case:
@@ -115,7 +115,7 @@ def test_a_cause_is_named_through_coloured_noise() -> None:
 
 def _as_noise(case: Case, spread_N: float, fading_s: float = 0.5) -> bool:
     problem = TWIN.base_fit(case).problem.with_noise(
-        {"force_N": 0.012, "output_V": 0.0012, "stage_mm": 0.002}, {"force_N": Colour(spread_N, fading_s)}
+        {"force_N": 0.012, "output_V": 0.0012, "stage_mm": 0.002}, {"force_N": NoiseCorrelation(spread_N, fading_s)}
     )
     start = np.array([to_fit(p, getattr(BASE, p.name)) for p in PARAMETERS])
     return is_noise(fit(problem, Hypothesis(), start))
@@ -144,7 +144,7 @@ def test_white_noise_may_grow_with_the_load() -> None:
 
 
 def test_what_does_not_fade_is_no_noise() -> None:
-    assert not _as_noise(_case(11, newtons=0.1), 0.1, fading_s=ColourConfig().longest_s)
+    assert not _as_noise(_case(11, newtons=0.1), 0.1, fading_s=NoiseCorrelationConfig().longest_s)
 
 
 @pytest.mark.long

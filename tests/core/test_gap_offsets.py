@@ -83,14 +83,14 @@ def test_the_directions_are_those_of_the_twin() -> None:
     problem = Problem(TWIN, _case(moved), SIGMA)
     left = (problem.measured - _prediction(problem)) / problem.noise
     own = dataclasses.replace(BASE, r0_ohm=BASE.r0_ohm * 1.008, u0_mm=BASE.u0_mm + 0.015)
-    of_moved = np.concatenate([np.full(b.place.stop - b.place.start, b.run == 1) for b in problem.blocks])
+    of_moved = np.concatenate([np.full(b.rows.stop - b.rows.start, b.run == 1) for b in problem.blocks])
     true_left = (problem.measured - _prediction(problem.bare, own)) / problem.noise
     assert np.std(left[of_moved]) == pytest.approx(np.std(true_left[of_moved]), rel=0.03)
 
 
 def test_an_offset_beyond_what_rigs_have_stays_a_gap() -> None:
     problem = Problem(TWIN, _untared(0.5), SIGMA)
-    largest_N = max(np.ptp(problem.measured[b.place]) for b in problem.blocks if b.channel == "force_N")
+    largest_N = max(np.ptp(problem.measured[b.rows]) for b in problem.blocks if b.channel == "force_N")
     assert _found(problem)[:, 0] == pytest.approx([METHOD.offset.tare * largest_N] * 3)
 
 
@@ -181,7 +181,7 @@ def test_a_surface_that_lies_lower_leaves_no_corner_at_first_touch() -> None:
         runs.append(Run("ramps", t_s, READOUT, stage_mm, force_N, output_V))
     problem = Problem(TWIN, _case(runs), SIGMA)
     error = problem.measured - _prediction(problem)
-    left = {c: max(float(np.max(np.abs(error[b.place]))) for b in problem.blocks if b.channel == c) for c in SIGMA}
+    left = {c: max(float(np.max(np.abs(error[b.rows]))) for b in problem.blocks if b.channel == c) for c in SIGMA}
     # A straight step along the slopes leaves k1·40 µm = 44 mN and 0.1 mV.
     assert left["force_N"] < 0.003
     assert left["output_V"] < READOUT.step_V + 5e-5

@@ -11,7 +11,7 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.mistakes import doubts
+from softcal.core.gap.mistakes import suspect_units
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
@@ -176,9 +176,9 @@ def test_a_gain_of_all_runs_shows_where_the_lot_states_its_stiffness(sound: Case
 def test_a_stiff_pad_that_the_lot_states_is_believed(sound: Case) -> None:
     stiff = spoilt(sound, stage_mm=scaled("stage_mm", 1 / 25.4))
     assert TWIN.mistakes(replace(stiff, stiffness_N_mm=(1.0, 3.0)))[0].what == "unit_factor"
-    assert doubts(stiff, METHOD.mistake)[0].what == "unit_factor"
+    assert suspect_units(stiff, METHOD.mistake)[0].what == "unit_factor"
     believed = replace(stiff, stiffness_N_mm=(40.0, 60.0))
-    assert TWIN.mistakes(believed) == doubts(believed, METHOD.mistake) == ()
+    assert TWIN.mistakes(believed) == suspect_units(believed, METHOD.mistake) == ()
 
 
 @pytest.mark.parametrize("name", ["S1", "S2"])

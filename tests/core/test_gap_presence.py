@@ -9,7 +9,7 @@ import pytest
 from softcal.core.gap.diagnosis import closest_set, diagnose_simulator
 from softcal.core.gap.evidence import Consistency, bounds_reached, consistency_of, list_completeness, rest_energy
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.residual import Shrink
+from softcal.core.gap.residual import ExplainedFraction
 from softcal.core.gap.search import Search
 from softcal.core.gap.simulator import Experiment, Simulator, candidate, recorded
 from softcal.core.twin.effects import Parameter
@@ -92,7 +92,7 @@ def test_how_a_cause_stands_to_a_rest_is_that_of_its_algebra():
         for part in np.array_split(np.arange(start, start + len(run)), 4):
             asked += (seen[part] @ left[part]) ** 2 / (seen[part] @ seen[part])
         start += len(run)
-    assert got.taken == pytest.approx(seen @ seen / (seen @ seen + rest), rel=1e-3)
+    assert got.energy_share == pytest.approx(seen @ seen / (seen @ seen + rest), rel=1e-3)
     assert got.disagreement == pytest.approx(np.sqrt(asked / (seen @ seen)), rel=1e-2)
     beside_base = left_of(columns[:, :2], columns[:, 2]) * size / SIGMA
     assert got.cancelled == pytest.approx(1.0 - seen @ seen / (beside_base @ beside_base), abs=1e-3)
@@ -167,8 +167,8 @@ def test_noise_leaves_a_list_complete_and_a_departure_outside_does_not():
 
 
 def test_a_forecast_that_its_own_samples_contradict_is_left_out():
-    assert Shrink.checked((0.0, 0.0, 0.02), 0.83, METHOD.shrink) == Shrink(None, None, None, 0.83)
-    assert Shrink.checked((0.9, 0.8, 0.95), 0.83, METHOD.shrink).predicted == 0.9
+    assert ExplainedFraction.checked((0.0, 0.0, 0.02), 0.83, METHOD.shrink) == ExplainedFraction(None, None, None, 0.83)
+    assert ExplainedFraction.checked((0.9, 0.8, 0.95), 0.83, METHOD.shrink).predicted == 0.9
 
 
 @pytest.mark.parametrize(("low", "high", "reached"), [(-50.0, 0.1, 0.1), (0.9, 50.0, 0.9), (-50.0, 50.0, None)])

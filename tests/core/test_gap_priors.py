@@ -58,8 +58,8 @@ def test_a_mass_that_stood_on_a_scale_leaves_the_rest_to_the_payload():
     assert parameters["mass"] == pytest.approx(1.5, abs=0.02)
     assert parameters["payload.mass"] == pytest.approx(0.4, abs=0.03)
     assert found.report()["priors"] == {"mass": {"mean": 1.5, "sd": 0.01, "fitted": parameters["mass"]}}
-    (untold,) = (one for one in check_simulator(CART, runs)[1].untold)
-    assert untold.name == "payload" and not check_simulator(WEIGHED, runs)[1].untold
+    (untold,) = (one for one in check_simulator(CART, runs)[1].unidentifiable)
+    assert untold.name == "payload" and not check_simulator(WEIGHED, runs)[1].unidentifiable
 
 
 def test_a_prior_and_runs_add_as_in_bayes_formula():
@@ -87,7 +87,7 @@ def test_a_prior_and_runs_add_as_in_bayes_formula():
 def test_the_prior_of_a_value_on_a_logarithmic_scale_is_relative():
     scaled = replace(CART, base=(Parameter("mass", "kg", 0.1, 10.0, 2.0, scale="log"),), priors={"mass": (1.6, 0.08)})
     (prior,) = SimulatorModel(scaled).priors
-    assert (prior.place, prior.mean, prior.sd) == (0, pytest.approx(np.log(1.6)), pytest.approx(0.05))
+    assert (prior.index, prior.mean, prior.sd) == (0, pytest.approx(np.log(1.6)), pytest.approx(0.05))
 
 
 def test_what_is_known_of_a_start_holds_in_every_run():
@@ -105,7 +105,7 @@ def test_what_is_known_of_a_start_holds_in_every_run():
         priors={"start": (5.0, 0.1), "start@2": (6.0, 0.2)},
     ).of_runs(["1", "2"])
     assert [p.usual for p in lamp.base] == [1.0, 5.0, 6.0]
-    assert [(one.place, one.mean, one.sd) for one in SimulatorModel(lamp).priors] == [(1, 5.0, 0.1), (2, 6.0, 0.2)]
+    assert [(one.index, one.mean, one.sd) for one in SimulatorModel(lamp).priors] == [(1, 5.0, 0.1), (2, 6.0, 0.2)]
 
 
 def test_noise_that_is_stated_is_not_read_off_what_is_left():

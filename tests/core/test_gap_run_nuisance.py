@@ -129,7 +129,7 @@ def test_what_runs_may_have_of_their_own_is_no_cause_and_hides_no_other(seed: in
 def test_a_clock_that_is_late_along_straight_lines_is_no_cause_and_hides_no_other(seed: int, hidden: str) -> None:
     """Straight lines between samples are off a curve by many times this noise."""
     found = diagnosed(seed, 0.0005, True, hidden)
-    assert not any(found.told[alias].is_told for alias in ALIASES)
+    assert not any(found.identifiability[alias].is_identifiable for alias in ALIASES)
     true = {hidden} - {"none", *ALIASES}
     assert (named(found), found.verdict) == (true, "explained" if true else "no_gap")
 
@@ -151,4 +151,4 @@ def test_a_gap_that_no_candidate_takes_down_to_the_noise_is_unknown(seed: int) -
 @pytest.mark.long
 def test_a_delay_beyond_what_runs_may_have_is_a_cause() -> None:
     found = diagnosed(9, 0.004, False, "long_delay")
-    assert not found.told["late"].is_own and named(found) & {"late", "early_input"}
+    assert not found.identifiability["late"].is_run_nuisance and named(found) & {"late", "early_input"}

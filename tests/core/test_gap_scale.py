@@ -70,7 +70,9 @@ def _said(case: Case) -> dict[str, Any]:
     found = diagnose(case)
     told = {"verdict": found.verdict, "named": found.best.hypothesis.ids, "explained": found.explained_share}
     told |= {c.effect: c.probability for c in found.causes} | {f"{c.effect}: shrink": c.shrink for c in found.causes}
-    return told | vars(found.shrink) | {f"{p.stage} {p.channel} {p.regime}": p.share for p in found.places}
+    return (
+        told | vars(found.explained_fraction) | {f"{p.stage} {p.channel} {p.regime}": p.share for p in found.locations}
+    )
 
 
 @cache

@@ -270,7 +270,7 @@ def test_causes_are_named_and_no_plain_fit_is_closer(name: str) -> None:
     assert (found.verdict, found.best.hypothesis.ids) == ("explained", rig.causes)
     assert rms(found.base) <= 1.002 * plain(rig, runs, ())
     assert rms(found.best) <= 1.002 * plain(rig, runs, rig.causes)
-    assert found.shrink.held_out > 0.9
+    assert found.explained_fraction.held_out > 0.9
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -288,7 +288,7 @@ def test_what_no_candidate_explains_is_described_by_a_term_that_the_simulator_ca
     # In the units of the term 1 is the largest x of the runs.
     assert (one.term.place, one.term.variable) == ("y", "x³")
     assert one.term.coefficient / one.term.half**3 == pytest.approx(-0.5, abs=5 * one.standard_error)
-    assert found.residual.shrink.held_out > 0.95
+    assert found.residual.explained_fraction.held_out > 0.95
     record = found.report()["residual"]
     taken_up = with_terms(simulator, [term_of(each, "here") for each in record["added"]])
     fresh = replace(SPRING, runs=4).recorded(5)[3]
@@ -387,7 +387,7 @@ def test_a_coarse_step_is_not_explained_by_what_does_not_shrink_the_gap() -> Non
 
     simulator = blind(replace(PENDULUM.simulator, run=coarse), ("dry", "air"))
     found = diagnose_simulator(simulator, sound(PENDULUM).recorded())
-    assert found.verdict != "explained" or found.shrink.held_out > 0.85
+    assert found.verdict != "explained" or found.explained_fraction.held_out > 0.85
     if found.verdict == "unknown":
         assert all(cause.probability < 0.5 for cause in found.causes)
 

@@ -11,7 +11,7 @@ from softcal.core.quality.acceptance import tolerance_factor
 from softcal.core.quality.release import AuditedUnit, release
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.explanation import contributions
-from softcal.core.unit.line_spread import LineSpread, seen_gains
+from softcal.core.unit.line_spread import LineSpread, estimate_gains
 from softcal.core.unit.method import LineConfig, Method, ReleaseConfig
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
@@ -95,9 +95,9 @@ def test_no_spread_and_percent_for_a_share_are_refused(load, day):
 
 
 def test_gains_of_audited_units_show_the_spread(rng):
-    seen = seen_gains(list(1.05 * np.exp(0.12 * rng.normal(size=4000))), 3)
+    seen = estimate_gains(list(1.05 * np.exp(0.12 * rng.normal(size=4000))), 3)
     assert seen.centre == pytest.approx(1.05, rel=0.01) and seen.spread == pytest.approx(0.12, rel=0.05)
-    assert seen_gains([1.0, 1.1], 3) is None and seen_gains([1.0, -0.4, 1.1], 3) is None
+    assert estimate_gains([1.0, 1.1], 3) is None and estimate_gains([1.0, -0.4, 1.1], 3) is None
 
 
 def test_what_golden_runs_show_from_day_to_day_is_kept_from_the_limit():
@@ -107,7 +107,7 @@ def test_what_golden_runs_show_from_day_to_day_is_kept_from_the_limit():
     factor = release(forecasts, audits, limit, config).factor
     room = np.sqrt(1.0 - (0.3 * factor) ** 2)
     within, beyond = (dict.fromkeys(forecasts, share * room) for share in (0.99, 1.01))
-    assert len(release(forecasts, audits, limit, config, days=within).released) == 4
-    assert release(forecasts, audits, limit, config, days=beyond).released == ()
+    assert len(release(forecasts, audits, limit, config, day_errors=within).released) == 4
+    assert release(forecasts, audits, limit, config, day_errors=beyond).released == ()
     # Four days say less of the next than forty.
     assert tolerance_factor(4, 3, 0.1, 0.9) > 1.9 * tolerance_factor(40, 39, 0.1, 0.9)

@@ -126,7 +126,9 @@ def test_beyond_the_levels_of_the_audited_units_nothing_is_extrapolated(rng, sou
 
 def test_fewer_than_three_other_audits_and_units_with_known_loads_are_left_alone(rng, source_model, state):
     assert taken_off(state, source_model.source, {}) == taken_off(state, source_model.source, lines(rng, 1.5, units=2))
-    anchored = replace(state, fit=replace(state.fit, knowledge=replace(state.fit.knowledge, is_anchored=True)))
+    anchored = replace(
+        state, fit=replace(state.fit, correspondence=replace(state.fit.correspondence, is_anchored=True))
+    )
     assert LotCorrection(1, lines(rng, 1.5)).apply(anchored, source_model.source).correction is None
 
 

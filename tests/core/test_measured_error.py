@@ -45,7 +45,7 @@ def test_the_own_calibration_is_compared_on_its_test_rows_alone(source_model, pr
     assert scores.own is not None and scores.own.own.rows < scores.after.rows
     rows = np.arange(len(audit) - scores.own.own.rows, len(audit))
     found = estimate(linear_network, made, audit.unlabelled).estimate
-    assert scores.own.after == MeasuredError.of(found[rows], audit.reference[rows])
+    assert scores.own.after == MeasuredError.from_estimates(found[rows], audit.reference[rows])
     again = score_map(linear_network, made.unit_map, audit, DecisionConfig(), scores.own.own)
     assert again == scores
 
@@ -56,7 +56,7 @@ def test_the_interval_covers_the_error_that_more_rows_would_show(rng) -> None:
     for _ in range(400):
         white = rng.normal(size=1200 + 99)
         error = lfilter(np.ones(TAPS // 3) / np.sqrt(TAPS // 3), [1.0], white)[99:]
-        found = MeasuredError.of(error, np.zeros_like(error)).interval
+        found = MeasuredError.from_estimates(error, np.zeros_like(error)).interval
         held += found.lower <= 1.0 <= found.upper
     assert held / 400 >= 0.95
 

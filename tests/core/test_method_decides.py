@@ -14,7 +14,7 @@ from softcal.core.quality.lot_release import release_lot
 from softcal.core.quality.qualification import PastAudit, qualify
 from softcal.core.quality.release import AuditedUnit, min_passing, release
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.line_spread import seen_gains
+from softcal.core.unit.line_spread import estimate_gains
 from softcal.core.unit.lot_correction import AuditedLine, LotCorrection
 from softcal.core.unit.method import Method, ReleaseConfig
 from softcal.core.unit.output_level import LoadLine
@@ -86,7 +86,7 @@ def suspected(method):
                     "B": audit_result("B", 1.0, 60.0 + apart, 60.0),
                 }
                 yield find_suspect_audits({**alike, **pair}, method)
-    yield [seen_gains([1.0, 1.1] * count, method.release.min_others) is None for count in range(1, 5)]
+    yield [estimate_gains([1.0, 1.1] * count, method.release.min_others) is None for count in range(1, 5)]
 
 
 def decided(method):

@@ -18,7 +18,7 @@ from softcal.core.quality.acceptance import (
     share_beyond,
     tolerance_factor,
 )
-from softcal.core.quality.interval_inflation import AuditedSamples, Widening, fit_interval_inflation
+from softcal.core.quality.interval_inflation import AuditedSamples, IntervalInflation, fit_interval_inflation
 from softcal.core.quality.lot_release import release_lot
 from softcal.core.quality.qualification import PastAudit, qualify, small_lot
 from softcal.core.quality.release import AuditedUnit, audited_ratios, min_passing, release
@@ -248,10 +248,10 @@ def test_the_interval_serves_one_more_unit_however_differently_units_were_presse
         # Each unit misreads its loads by another share; residuals grow with the load.
         loads = (0.3 * rng.normal() * rng.random(200) + 0.02 * rng.normal(size=200) for _ in range(11))
         units = [_audited(residual, half=0.02) for residual in loads]
-        widening = fit_interval_inflation(units[:-1], 0.9, RULES)
-        served += np.mean(units[-1].ratio(widening) <= 1) >= 0.8
-        pooled = pooled_scale([unit.ratio(Widening()) for unit in units[:-1]], 0.9)
-        pooled_served += np.mean(units[-1].ratio(Widening()) <= pooled) >= 0.8
+        inflation = fit_interval_inflation(units[:-1], 0.9, RULES)
+        served += np.mean(units[-1].ratio(inflation) <= 1) >= 0.8
+        pooled = pooled_scale([unit.ratio(IntervalInflation()) for unit in units[:-1]], 0.9)
+        pooled_served += np.mean(units[-1].ratio(IntervalInflation()) <= pooled) >= 0.8
     # Nine units in ten, less three standard deviations for the count of trials.
     assert served / trials >= 0.9 - 3 * np.sqrt(0.09 / trials)
     assert pooled_served < served
@@ -259,24 +259,24 @@ def test_the_interval_serves_one_more_unit_however_differently_units_were_presse
 
 def test_the_widening_follows_its_closed_form():
     half = np.array([3.0, 4.0])
-    assert np.allclose(Widening(1.0, 4.0)(half), [5.0, np.hypot(4, 4)])
-    assert np.array_equal(Widening()(half), half)
+    assert np.allclose(IntervalInflation(1.0, 4.0)(half), [5.0, np.hypot(4, 4)])
+    assert np.array_equal(IntervalInflation()(half), half)
 
 
 def test_units_that_are_alike_get_the_factor_of_their_median_and_nothing_beside_it():
     rng = np.random.default_rng(6)
     units = [_audited(0.5 * rng.normal(size=4000), half=1.645) for _ in range(10)]
-    widening = fit_interval_inflation(units, 0.9, RULES)
+    inflation = fit_interval_inflation(units, 0.9, RULES)
     # 0.5 x 1.645 is the true 90 % half-width.
-    assert widening.scale == pytest.approx(0.5, rel=0.05) and widening.added < 0.2
-    covered = [np.mean(unit.ratio(widening) <= 1) for unit in units]
+    assert inflation.scale == pytest.approx(0.5, rel=0.05) and inflation.added < 0.2
+    covered = [np.mean(unit.ratio(inflation) <= 1) for unit in units]
     assert 0.87 < np.median(covered) < 0.94
 
 
 def test_an_interval_that_is_too_narrow_gets_an_error_beside_it():
     units = [_audited(np.random.default_rng(k).normal(size=500), half=0.1) for k in range(10)]
-    widening = fit_interval_inflation(units, 0.9, RULES)
-    assert widening.scale == 1.0 and widening.added == pytest.approx(1.645, rel=0.15)
+    inflation = fit_interval_inflation(units, 0.9, RULES)
+    assert inflation.scale == 1.0 and inflation.added == pytest.approx(1.645, rel=0.15)
 
 
 def test_one_audited_unit_widens_and_none_is_refused():
@@ -328,7 +328,7 @@ def test_a_forecast_is_multiplied_by_what_audits_measured_of_theirs_and_by_nothi
     decided = release_lot(forecasts, qualify(audits, [], NOW, "EG", METHOD, units=14), LIMIT, RULES)
     assert decided.forecast_scale == pytest.approx(1.5)
     said = {serial: decided.sample_release(serial, 1) for serial in forecasts}
-    assert [said[serial].judgement(rmse, LIMIT).verdict for serial, rmse in forecasts.items()] == [
+    assert [said[serial].assess(rmse, LIMIT).verdict for serial, rmse in forecasts.items()] == [
         "pass",
         "fail",
     ]

@@ -27,12 +27,12 @@ class Answering:
     name: str = "house"
     version: str = "1"
 
-    def look(self, facts: RuleInput) -> Iterator[Objection]:
-        return self.answer(facts)
+    def look(self, rule_input: RuleInput) -> Iterator[Objection]:
+        return self.answer(rule_input)
 
 
 def objecting(press_again: bool = False) -> Answering:
-    return Answering(lambda facts: iter([Objection("its label is missing: glue one on", press_again)]))
+    return Answering(lambda rule_input: iter([Objection("its label is missing: glue one on", press_again)]))
 
 
 @pytest.fixture
@@ -48,8 +48,8 @@ def unit(press):
     return press(2, gain=1.3, offset_V=0.05, seconds=60.0)
 
 
-def problem(source_model, unit, **facts: object) -> UnitProblem:
-    return UnitProblem(source_model, unit.unlabelled, Limit("N", 2.0), **facts)
+def problem(source_model, unit, **rule_input: object) -> UnitProblem:
+    return UnitProblem(source_model, unit.unlabelled, Limit("N", 2.0), **rule_input)
 
 
 def test_a_rule_holds_a_unit_back_whatever_was_forecast_or_measured(source_model, unit, rule_in_force) -> None:
@@ -71,18 +71,20 @@ def test_a_rule_may_ask_for_another_recording(source_model, unit, rule_in_force)
 
 def test_a_rule_sees_the_unit_and_no_reference_of_it(source_model, unit, rule_in_force) -> None:
     seen: list[RuleInput] = []
-    rule_in_force(Answering(lambda facts: iter(seen.append(facts) or [])))
+    rule_in_force(Answering(lambda rule_input: iter(seen.append(rule_input) or [])))
     made = calibrate(problem(source_model, unit, audit=unit))
-    (facts,) = seen
+    (rule_input,) = seen
     assert made.decision.verdict == "pass"
-    assert facts.recording is unit.unlabelled and facts.source is source_model.source
-    assert facts.limit.maximum_rmse == 2.0 and facts.measured_rmse == pytest.approx(made.scores.after.rmse, rel=0.1)
-    assert rmse(facts.estimate, unit.window_reference) == pytest.approx(made.scores.after.rmse, rel=0.1)
-    assert not any(isinstance(value, type(unit)) and value is unit for value in vars(facts).values())
+    assert rule_input.recording is unit.unlabelled and rule_input.source is source_model.source
+    assert rule_input.limit.maximum_rmse == 2.0 and rule_input.measured_rmse == pytest.approx(
+        made.scores.after.rmse, rel=0.1
+    )
+    assert rmse(rule_input.estimate, unit.window_reference) == pytest.approx(made.scores.after.rmse, rel=0.1)
+    assert not any(isinstance(value, type(unit)) and value is unit for value in vars(rule_input).values())
 
 
 def test_a_rule_that_breaks_lets_nothing_pass_and_stops_no_lot(source_model, unit, rule_in_force) -> None:
-    def broken(facts: RuleInput) -> Iterator[Objection]:
+    def broken(rule_input: RuleInput) -> Iterator[Objection]:
         raise KeyError("gauge")
 
     rule_in_force(Answering(broken))
@@ -109,7 +111,7 @@ def test_a_machine_without_the_rule_decides_nothing(source_model, unit) -> None:
 @pytest.mark.parametrize("value", ["math:pi", "softcal.core.unit.rules:Rule", "softcal.nowhere:x"])
 def test_what_is_no_rule_is_refused_with_the_name_of_its_entry_point(value: str) -> None:
     with pytest.raises(InputError, match="'mine'"):
-        rules.PLUGINS.beside({}, [EntryPoint("mine", value, rules.PLUGINS.group)])
+        rules.PLUGINS.merge_plugins({}, [EntryPoint("mine", value, rules.PLUGINS.group)])
 
 
 COUNT = count()
@@ -120,10 +122,10 @@ COUNT = count()
     [
         (object(), "`name`"),
         (replace(objecting(), version=" "), "`version`"),
-        (Answering(lambda facts: iter(["no"])), ""),  # type: ignore[list-item]
-        (Answering(lambda facts: iter([Objection(str(next(COUNT)))])), ""),
-        (Answering(lambda facts: iter([Objection("x")] if facts.estimate.fill(0) else [])), ""),
-        (Answering(lambda facts: iter([Objection("x")] if facts.measured_rmse > 1 else [])), "TypeError"),  # type: ignore[operator]
+        (Answering(lambda rule_input: iter(["no"])), ""),  # type: ignore[list-item]
+        (Answering(lambda rule_input: iter([Objection(str(next(COUNT)))])), ""),
+        (Answering(lambda rule_input: iter([Objection("x")] if rule_input.estimate.fill(0) else [])), ""),
+        (Answering(lambda rule_input: iter([Objection("x")] if rule_input.measured_rmse > 1 else [])), "TypeError"),  # type: ignore[operator]
     ],
 )
 def test_the_kit_finds_what_a_rule_does_wrong(rule: Rule, fact: str) -> None:

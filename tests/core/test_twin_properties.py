@@ -78,12 +78,12 @@ def test_a_broken_effect_is_told(holds, broken):
 def test_plug_ins_stand_behind_the_own_effects(monkeypatch):
     monkeypatch.setattr("softcal.core.twin.properties.GOOD_FOR_TEST", GOOD, raising=False)
     point = EntryPoint("wear", "softcal.core.twin.properties:GOOD_FOR_TEST", "softcal.effects")
-    assert list(PLUGINS.beside(BUILTIN_EFFECTS, [point]))[-1] == "wear"
+    assert list(PLUGINS.merge_plugins(BUILTIN_EFFECTS, [point]))[-1] == "wear"
     with pytest.raises(InputError, match="wear"):
-        PLUGINS.beside({"wear": GOOD}, [point])
+        PLUGINS.merge_plugins({"wear": GOOD}, [point])
 
 
 @pytest.mark.parametrize("value", ["no_such_module:EFFECT", "softcal.core.twin.properties:RATE_Hz"])
 def test_a_plug_in_that_is_none_is_refused_in_one_line(value):
     with pytest.raises(InputError, match="'wear'"):
-        PLUGINS.beside(BUILTIN_EFFECTS, [EntryPoint("wear", value, "softcal.effects")])
+        PLUGINS.merge_plugins(BUILTIN_EFFECTS, [EntryPoint("wear", value, "softcal.effects")])

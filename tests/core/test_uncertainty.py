@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from softcal.core.maps.affine_map import AffineMap
+from softcal.core.unit.correspondence import find_correspondence
 from softcal.core.unit.evidence import OtherMaps, gather_evidence
 from softcal.core.unit.forecast import forecast_error, variance_table
 from softcal.core.unit.health import output_limits
-from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import conformal_quantile, fit_support, source_residuals
 from softcal.core.unit.uncertainty import Interval
 from softcal.core.windows import TAPS, windows
 
 METHOD = Method()
-BLIND = known_by({}, METHOD.knowledge)
+BLIND = find_correspondence({}, METHOD.correspondence)
 
 
 def half_widths(interval, network, mapped):

@@ -18,7 +18,7 @@ from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.state_json import adjustments_to_json, fit_from_json, fit_to_json, state_from_json
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.core.unit.verdict import Finding, Limit, Verdict, default_limit, worst_of
 from softcal.core.windows import resting
 from tests.unit_states import audit_of, fit_of
@@ -55,7 +55,7 @@ def release_of(
         "is_released": is_released,
         "scale": 1.2,
         "factor": 2.0,
-        "widening": Widening(0.9, 0.05),
+        "interval_inflation": IntervalInflation(0.9, 0.05),
         "day_rmse": 0.0,
         "audits": HERE,
         "risk": 0.1,

@@ -12,9 +12,9 @@ from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
     VERDICTS,
+    Assessment,
     Decision,
     Finding,
-    Judgement,
     Limit,
     Release,
     Verdict,
@@ -69,9 +69,9 @@ def test_the_reason_states_error_limit_and_where_the_limit_comes_from():
 def test_nothing_passes_by_a_limit_that_nobody_stated(rmse, guard, word):
     error, derived = ErrorForecast(rmse, rmse - guard, rmse + guard), default_limit("N", 0.15, 3.0, DecisionConfig())
     for source in ("predicted", "measured"):
-        judgement = compare_with_limit(error, derived, (Finding(plain("something"), word),), source)
-        assert judgement.verdict is worst_of([Verdict.CONDITIONAL, word])
-        (said,) = [why for why in judgement.reasons if why.code == "no_limit"]
+        assessment = compare_with_limit(error, derived, (Finding(plain("something"), word),), source)
+        assert assessment.verdict is worst_of([Verdict.CONDITIONAL, word])
+        (said,) = [why for why in assessment.reasons if why.code == "no_limit"]
         assert said.values["share"] == pytest.approx(rmse / 3.0) and said.values["rmse"] == rmse
 
 
@@ -81,7 +81,7 @@ def test_a_retest_states_no_conformity():
 
 @given(predicted=st.sampled_from(VERDICTS), measured=st.sampled_from(VERDICTS))
 def test_what_is_measured_outranks_what_is_predicted_and_both_are_said(predicted, measured):
-    decision = Decision(Judgement(predicted, (plain("forecast"),)), Judgement(measured, (plain("audit"),)))
+    decision = Decision(Assessment(predicted, (plain("forecast"),)), Assessment(measured, (plain("audit"),)))
     assert decision.verdict is measured and decision.reasons[0] == plain("audit")
     assert len(decision.reasons) == (1 if predicted is measured else 2)
 

@@ -8,7 +8,7 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import plain
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.unit.measured_error import MeasuredError, OwnScores, Scores
+from softcal.core.unit.measured_error import MeasuredError, OwnCalibrationScores, Scores
 from softcal.db.entries import GoldenRun
 from softcal.db.repositories.lot_pages import UnitFilter
 from tests.unit_states import ROWS
@@ -22,7 +22,9 @@ def lot(factory, recording_of):
         verdict = ("pass", "fail", "conditional")[k % 3]
         registry.calibrations.add("L1", factory.state(f"A{k}", k + 1, verdict))
     measured = factory.state("A1", 9)
-    scores = Scores(MeasuredError(0.9, ROWS), MeasuredError(0.4, ROWS), OwnScores(*[MeasuredError(0.3, 900)] * 3))
+    scores = Scores(
+        MeasuredError(0.9, ROWS), MeasuredError(0.4, ROWS), OwnCalibrationScores(*[MeasuredError(0.3, 900)] * 3)
+    )
     registry.calibrations.add("L1", replace(measured, audit=replace(measured.audit, scores=scores)))
     registry.calibrations.refuse("L1", "A2", "retest", (plain("cable"),))
     registry.calibrations.refuse("L1", "B1", "fail", (plain("dead"),))

@@ -9,11 +9,11 @@ from sqlalchemy import func, select
 
 from softcal.core.messages.reason import plain, reason
 from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
-from softcal.core.unit.measured_error import MeasuredError, OwnScores, Scores
+from softcal.core.unit.measured_error import MeasuredError, OwnCalibrationScores, Scores
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.state import AuditResult, UnitState
 from softcal.core.unit.state_json import adjustments_to_json
-from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.core.unit.verdict import Limit
 from softcal.db.maintenance.checks import faults
 from softcal.db.schema.tables import STATE_PARTS
@@ -28,7 +28,7 @@ why = st.none() | st.sampled_from([plain("라벨이 없음"), reason("trimmed", 
 numbers = st.lists(number, max_size=3).map(tuple)
 pair = st.tuples(number, number)
 line, error = st.builds(LoadLine, number, number), st.builds(MeasuredError, positive, counted)
-own = st.none() | st.builds(OwnScores, error, error, error)
+own = st.none() | st.builds(OwnCalibrationScores, error, error, error)
 scores = st.builds(Scores, error, error, own, st.dictionaries(st.sampled_from(["gap", "stuck"]), counted))
 limits = st.builds(
     Limit, st.just("N"), positive, reference_expanded=st.none() | positive, full_range=st.none() | positive
@@ -55,7 +55,7 @@ releases = st.builds(
     is_released=st.booleans(),
     scale=positive,
     factor=st.none() | positive,
-    widening=st.builds(Widening, positive, positive),
+    interval_inflation=st.builds(IntervalInflation, positive, positive),
     day_rmse=number,
     audits=st.just(plain("ten audits")),
     risk=positive,

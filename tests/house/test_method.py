@@ -19,8 +19,8 @@ NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
     "core/unit/audit.py": {"INSTANTS"},  # instants of the stored reading
     "core/unit/trim.py": {"MAX_CHANGE"},  # what a device holds
-    "core/unit/bridge.py": {"SAME_DAY"},  # the identity
-    "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
+    "core/unit/day_correction.py": {"SAME_DAY"},  # the identity
+    "core/unit/line_spread.py": {"MAX_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
     "core/maps/paired.py": {"MIN_WINDOWS"},  # what is refused
@@ -41,9 +41,9 @@ NO_DECISION = {
     },  # size of the common rig, of units, and of a solver
     "core/gap/mistakes.py": {"UNITS_OF_RUN", "TIME_UNITS", "UNITS"},  # units
     "core/gap/places.py": {"TIED"},  # rounding
-    "core/gap/problem.py": {"PASSES", "STRAIGHT_SIGMA", "BASE"},  # of a solver, and the base's bounds
+    "core/gap/problem.py": {"PASSES", "LINEAR_SIGMA", "BASE"},  # of a solver, and the base's bounds
     "core/gap/residual.py": {"TRIMMED"},  # of an estimator
-    "core/gap/search.py": {"KEPT_PART", "GENTLER"},  # where a fit begins
+    "core/gap/search.py": {"MIN_GAIN_SHARE", "GENTLER"},  # where a fit begins
     "core/gap/simulator.py": {
         "REPEATABLE",
         "MOVED",
@@ -53,8 +53,8 @@ NO_DECISION = {
         "OFF_GRID",
         "PROBED",
     },  # what is refused
-    "core/gap/simulator_model.py": {"KNOWN", "DRAWS", "FIRST_STEPS"},  # a cache, and where a fit begins
-    "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES", "STANDS_OUT"},  # units, parts of stored terms
+    "core/gap/simulator_model.py": {"MAX_CACHED", "DRAWS", "FIRST_STEPS"},  # a cache, and where a fit begins
+    "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES", "MIN_LIFT"},  # units, parts of stored terms
     "core/gap/twin.py": {"QUIETEST"},  # a guard
     # equations, numbers of a solver, and runs that may be proposed
     "core/gap/twin_reach.py": {"WARM_DIVIDER", "UNMODELLED_EFFECTS", "LEVELS", "REST_s", "SET_UP_min", "TOUCHING_share"}
@@ -133,7 +133,7 @@ EXPLAINED = {
     },
     "core/unit/estimate.py": {"3": "columns: estimate and both limits", "12": "letters of a name in a message"},
     "core/unit/evidence.py": {"12": "variance of a uniform variable over its squared width"},
-    "core/unit/bridge.py": {"16": "stretches of time, every other held out"},
+    "core/unit/day_correction.py": {"16": "stretches of time, every other held out"},
     "core/unit/forecast.py": {"5": "pseudo-counts of a table", "9": "levels of a smoother"},
     "core/unit/scoring.py": {"0.75": "what own calibration trains on (Kim et al. 2020, Table 1)"},
     "core/unit/health.py": {

@@ -41,7 +41,7 @@ AT_A_TERMINAL = {
     "app/gap/sealed_file.py": "an examiner that a command asks",
     "app/ui/components/line_card.py": "properties of a style sheet",
     "core/export/c_text.py": "the head of a file for a device",
-    "core/unit/knowledge.py": "where a number of the method comes from",
+    "core/unit/correspondence.py": "where a number of the method comes from",
     "core/operation/method.py": "where a number of the method comes from",
     "core/twin/simulate.py": "twins a command keeps as files",
     "db/maintenance/sync.py": "registries that a command exchanges",

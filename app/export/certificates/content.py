@@ -15,7 +15,7 @@ from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.messages.figures import decimals_of, find_decimals, format_value
 from softcal.core.recording import Array
 from softcal.core.unit.adjustments import Correction
-from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
+from softcal.core.unit.budget import COVERAGE, Budget, Reference, Traceability, forecast_budget, measured_budget
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
@@ -191,7 +191,7 @@ class Certificate:
     @property
     def is_traceable(self) -> bool:
         """Whether results are traceable to a certificate that was valid when the reference was used."""
-        is_valid = self.reference is not None and self.reference.standing is Standing.VALID
+        is_valid = self.reference is not None and self.reference.traceability is Traceability.VALID
         return is_valid and not self.blocking_reasons and not self.is_load_corrected_only
 
     @property
@@ -327,7 +327,7 @@ def build_certificate(unit: CalibratedUnit) -> Certificate:
         is_sampled=state.release_in_force is not None,
         is_trimmed=is_trimmed,
         reference=reference,
-        blocking_reasons=() if reference is None else tuple(map(str, reference.bars(float(source.max())))),
+        blocking_reasons=() if reference is None else tuple(map(str, reference.blocking_reasons(float(source.max())))),
         budget=None if is_trimmed else _budget(state, float(np.sqrt(np.mean(source**2)))),
         map_family=fit.family,
         load_correction=_describe_load_correction(state, lot.output_unit),
@@ -368,7 +368,7 @@ def _describe_audit_rows(state: UnitState) -> str:
 def _describe_load_correction(state: UnitState, unit: str) -> str:
     """Return the sentence on adjustments of the map by known loads; empty without any."""
     anchored = state.unit_map
-    if not state.knowledge.is_anchored or not isinstance(anchored, AnchoredMap):
+    if not state.correspondence.is_anchored or not isinstance(anchored, AnchoredMap):
         return ""
     action = "trimmed" if state.trim_in_force else "set"
     return (
@@ -383,7 +383,7 @@ def _budget(state: UnitState, load: float) -> Budget | None:
         return measured_budget(state.scores.after.rmse, fit.reference, load)
     if "model" not in fit.budget:
         return None
-    return forecast_budget(fit.budget, state.knowledge, state.predicted_rmse, fit.reference, load)
+    return forecast_budget(fit.budget, state.correspondence, state.predicted_rmse, fit.reference, load)
 
 
 def band_range(band: Uncertainty) -> str:

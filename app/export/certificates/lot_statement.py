@@ -39,7 +39,7 @@ class LotStatement:
     """
 
     lot: Lot
-    standing: LotStatus
+    status: LotStatus
     decided: LotRelease
     provenance: Provenance
     sample: Sample
@@ -55,7 +55,7 @@ def build_lot_statement(registry: Registry, status: LotStatus, release: LotRelea
     provenance = statement_provenance(registry, status)
     return LotStatement(
         lot=registry.lots.get(lot_id),
-        standing=status,
+        status=status,
         decided=release,
         provenance=provenance,
         sample=audited_sample(registry, lot_id),
@@ -74,7 +74,7 @@ def lot_statement_pdf(statement: LotStatement, render: Translator = ENGLISH) -> 
         created_on=datetime.fromisoformat(statement.provenance.made_at).date(),
         across=render("paper.simulated") if statement.is_simulated else "",
     )
-    lot, limit, status = statement.lot, statement.decided.limit, statement.standing
+    lot, limit, status = statement.lot, statement.decided.limit, statement.status
     counts = [f"{render(f'verdict.{word}')} {count}" for word, count in status.counts.items() if count]
     model = lot.sensor_model or render("paper.no_model")
     origin, unit = render_reason(limit.origin, render), lot.reference_unit

@@ -65,13 +65,15 @@ def cells_html(view: LineView) -> str:
     return f'<div class="sc-cells">{cells}</div>'
 
 
-def card_html(view: LineView, why_label: str) -> str:
-    """Return the state; the numbers behind it open under the word `why_label`."""
+def card_html(view: LineView, reason_label: str) -> str:
+    """Return the state; the numbers behind it open under the word `reason_label`."""
     serial = f'<div class="sc-serial">{escape(view.serial)}</div>' if view.serial else ""
     details = "".join(f"<li>{escape(line)}</li>" for line in view.details)
     numbers = "".join(f"<li>{escape(line)}</li>" for line in view.reason_details)
     numbers_html = (
-        f'<details class="sc-why"><summary>{escape(why_label)}</summary><ul>{numbers}</ul></details>' if numbers else ""
+        f'<details class="sc-why"><summary>{escape(reason_label)}</summary><ul>{numbers}</ul></details>'
+        if numbers
+        else ""
     )
     progress = ""
     if view.is_busy:

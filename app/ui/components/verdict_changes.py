@@ -9,7 +9,7 @@ from softcal.app.ui.panels import table, unit_link
 from softcal.app.ui.presentation import localize, translate, verdict_word
 from softcal.core.lot import UnitKey
 
-MOST_SHOWN = 200
+MAX_ROWS = 200
 
 
 def draw_changes(changed: Sequence[VerdictChange]) -> None:
@@ -23,9 +23,9 @@ def draw_changes(changed: Sequence[VerdictChange]) -> None:
                 translate("limits.then.verdict"): verdict_word(one.next_verdict),
                 translate("column.reasons"): localize([one.reason]),
             }
-            for one in changed[:MOST_SHOWN]
+            for one in changed[:MAX_ROWS]
         ),
         translate("changes.none"),
     )
-    if len(changed) > MOST_SHOWN:
-        st.caption(translate("limits.more", count=len(changed) - MOST_SHOWN))
+    if len(changed) > MAX_ROWS:
+        st.caption(translate("limits.more", count=len(changed) - MAX_ROWS))

@@ -32,7 +32,7 @@ def draw_limits(lot_id: str) -> None:
     unit, version_key, automatic = view.lot.reference_unit, f"limit-seen-{lot_id}", translate("lot.limit.none")
     left, right = st.columns(2)
     with left, st.container(border=True):
-        version = _first_drawn_version(version_key, versions)
+        version = _first_displayed_version(version_key, versions)
         newest = versions[-1].version if versions else 0
         headline(translate("limits.now", limit=render_limit(view.limit, translate), version=newest))
         is_automatic = st.toggle(translate("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{lot_id}-{version}")
@@ -96,7 +96,7 @@ def draw_limits(lot_id: str) -> None:
     table(rows, translate("rules.none"))
 
 
-def _first_drawn_version(version_key: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:
+def _first_displayed_version(version_key: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:
     """Return the version a person decides on: the one first drawn, whatever was written meanwhile."""
     return int(st.session_state.setdefault(version_key, versions[-1].version if versions else 0))
 
@@ -114,7 +114,7 @@ def _row(entry: LimitEntry | LineRulesEntry, values: Mapping[str, object]) -> di
 def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     """Draw one field per rule with what holds now, and take the change."""
     version_key = f"rules-seen-{lot.id}"
-    version = _first_drawn_version(version_key, versions)
+    version = _first_displayed_version(version_key, versions)
     now, mark = registry().lots.line_rules(lot), f"{lot.id}-{version}"
     left, middle, right = st.columns([3, 2, 2])
     key, help_ = f"rules-pattern-{mark}", translate("rules.pattern.help")

@@ -123,9 +123,9 @@ def _statement(status: LotStatus) -> None:
         return
 
     def make() -> bytes:
-        return lot_statement_pdf(build_lot_statement(registry(), status, decided), said)
+        return lot_statement_pdf(build_lot_statement(registry(), status, decided), translator)
 
-    said = current_translator()
+    translator = current_translator()
     exported = ("lots", (lot_id,), {"file": "statement.pdf"})
     download(translate("release.pdf"), f"{lot_id}-statement.pdf", make, "release-pdf", exported=exported)
 

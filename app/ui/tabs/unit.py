@@ -146,7 +146,7 @@ def draw_history(key: UnitKey, stored: StoredCalibration) -> None:
     table(rows)
     if older:
         _roll_back(key, older)
-    _draw_long_use(key, stored)
+    _draw_operation(key, stored)
 
 
 def _roll_back(key: UnitKey, older: list[int]) -> None:
@@ -165,7 +165,7 @@ def _roll_back(key: UnitKey, older: list[int]) -> None:
             finish("unit", translate("unit.rollback.done", revision=revision))
 
 
-def _draw_long_use(key: UnitKey, stored: StoredCalibration) -> None:
+def _draw_operation(key: UnitKey, stored: StoredCalibration) -> None:
     """Draw the state and the course of a unit in use; nothing where it is not followed."""
     entry = next((candidate for candidate in units_in_use(registry()) if candidate[0].key == key), None)
     if entry is None:

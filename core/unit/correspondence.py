@@ -1,4 +1,4 @@
-"""How the loads on a unit are known, and all that follows from it: coefficients, bounds and words of each kind."""
+"""How unit and source correspond, and what follows from it: coefficients, bounds and the name of each kind."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,8 +17,8 @@ ANCHORED = "anchored"
 
 
 @dataclass(frozen=True)
-class KnowledgeConfig:
-    """What one kind of knowledge of the loads is worth.
+class CorrespondenceConfig:
+    """What one kind of correspondence of unit and source is worth.
 
     Args:
         base_factor: a map errs this much more on loads it was not fitted to than on its own pairs.
@@ -27,8 +27,8 @@ class KnowledgeConfig:
         interval_share: share of the map's variance that widens the interval so that it covers 90 % of the samples.
         base_term: term of the budget that the forecast starts from: `model`, the error of f on its source, or `paired`,
             the difference from the source's reference at the same instants, which holds the model's error already.
-        other_use: best verdict of a unit whose loads and speeds are not the source's; empty where they need not be.
-        is_placed: whether the loads are known otherwise than by how they are distributed.
+        mismatch_verdict: best verdict of a unit whose loads and speeds are not the source's; empty where those may be.
+        is_matched: whether the loads are known otherwise than by how they are distributed.
     """
 
     sensitivity: tuple[tuple[str, float], ...]
@@ -36,12 +36,12 @@ class KnowledgeConfig:
     interval_share: float
     base_factor: float = setting(1.0)
     base_term: ClassVar[str] = "model"
-    other_use: ClassVar[str] = ""
-    is_placed: ClassVar[bool] = True
+    mismatch_verdict: ClassVar[str] = ""
+    is_matched: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class PairedConfig(KnowledgeConfig):
+class PairedConfig(CorrespondenceConfig):
     """Unit and source were pressed by one load at once: the source's reference has measured the rest."""
 
     base_term: ClassVar[str] = "paired"
@@ -54,10 +54,10 @@ class PairedConfig(KnowledgeConfig):
 
 
 @dataclass(frozen=True)
-class StageKnowledge(KnowledgeConfig):
+class StageMatchedConfig(CorrespondenceConfig):
     """Source and unit carry the stage position: the load over position says more than all the rest."""
 
-    other_use: ClassVar[str] = "conditional"
+    mismatch_verdict: ClassVar[str] = "conditional"
     sensitivity: tuple[tuple[str, float], ...] = table(
         {
             "stage": 0.59,
@@ -75,11 +75,11 @@ class StageKnowledge(KnowledgeConfig):
 
 
 @dataclass(frozen=True)
-class BlindConfig(KnowledgeConfig):
+class BlindConfig(CorrespondenceConfig):
     """Nothing speaks for the loads but how the output is distributed."""
 
-    other_use: ClassVar[str] = "retest"
-    is_placed: ClassVar[bool] = False
+    mismatch_verdict: ClassVar[str] = "retest"
+    is_matched: ClassVar[bool] = False
     sensitivity: tuple[tuple[str, float], ...] = table(
         {
             "disagreement": 0.07,
@@ -104,14 +104,14 @@ class BlindConfig(KnowledgeConfig):
 
 
 @dataclass(frozen=True)
-class SharedConfig(KnowledgeConfig):
+class SharedConfig(CorrespondenceConfig):
     """Units of the lot were pressed by one load at once: they agree on its course, and its level stays a guess.
 
     `shared` is the uncertainty of the load that is common to all, `own_part` that of the unit's map beside it.
     """
 
-    other_use: ClassVar[str] = "conditional"
-    is_placed: ClassVar[bool] = False
+    mismatch_verdict: ClassVar[str] = "conditional"
+    is_matched: ClassVar[bool] = False
     sensitivity: tuple[tuple[str, float], ...] = table(
         {
             "shared": 1.0,
@@ -130,17 +130,17 @@ class SharedConfig(KnowledgeConfig):
 
 
 @dataclass(frozen=True)
-class KnowledgeTable:
-    """The kinds, best first. A new kind is one class above, one field here and one condition in `known_by`."""
+class CorrespondenceTable:
+    """The kinds, best first. A new kind is a class above, a field here and a condition in `find_correspondence`."""
 
-    paired: KnowledgeConfig = field(default_factory=PairedConfig)
-    stage: KnowledgeConfig = field(default_factory=StageKnowledge)
-    shared: KnowledgeConfig = field(default_factory=SharedConfig)
-    blind: KnowledgeConfig = field(default_factory=BlindConfig)
+    paired: CorrespondenceConfig = field(default_factory=PairedConfig)
+    stage: CorrespondenceConfig = field(default_factory=StageMatchedConfig)
+    shared: CorrespondenceConfig = field(default_factory=SharedConfig)
+    blind: CorrespondenceConfig = field(default_factory=BlindConfig)
 
 
 @dataclass(frozen=True)
-class LoadKnowledge:
+class Correspondence:
     """How the loads on one unit are known.
 
     Args:
@@ -151,13 +151,13 @@ class LoadKnowledge:
     """
 
     kind: str
-    config: KnowledgeConfig
+    config: CorrespondenceConfig
     is_anchored: bool = False
 
     @property
-    def is_placed(self) -> bool:
+    def is_matched(self) -> bool:
         """Whether the loads are known otherwise than by how they are distributed."""
-        return self.config.is_placed
+        return self.config.is_matched
 
     @property
     def sensitivity(self) -> Mapping[str, float]:
@@ -169,11 +169,13 @@ class LoadKnowledge:
         return f"{kind}, {ANCHORED}" if self.is_anchored else kind
 
 
-def known_by(budget: Mapping[str, float], kinds: KnowledgeTable, is_anchored: bool = False) -> LoadKnowledge:
+def find_correspondence(
+    budget: Mapping[str, float], kinds: CorrespondenceTable, is_anchored: bool = False
+) -> Correspondence:
     """Return how the loads are known, by what could be measured.
 
     `paired` stands in the budget where unit and source were pressed by one load at once, `stage` where both carry the
     stage position, `shared` where the lot was fitted together.
     """
     kind = next((name for name in ("paired", "stage", SHARED) if name in budget), BLIND)
-    return LoadKnowledge(kind, getattr(kinds, kind), is_anchored)
+    return Correspondence(kind, getattr(kinds, kind), is_anchored)

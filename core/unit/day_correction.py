@@ -1,4 +1,4 @@
-"""The source unit pressed again in the sitting of the units: what carries their day and programme to the source's.
+"""The correction by a check standard: the source unit, pressed again in the sitting of the units.
 
 A unit and the golden unit that met one load at one time differ by what the units differ by, and by nothing that the day
 or the programme does to both. The map of the unit is therefore fitted to the golden run in place of the source's
@@ -28,21 +28,21 @@ SAME_DAY = AffineMap(1.0, 0.0, "identity")
 
 
 @dataclass(frozen=True, eq=False)
-class Bridge:
-    """A golden run as units of its sitting are compared with it.
+class DayCorrection:
+    """The correction that a golden run gives the units of its sitting, which are compared with it.
 
     Args:
         golden: the run, as the source would show it on its own day, with its reference: measured, or what f reads where
             no load cell was under it.
         day_map: gain and zero of that day's output on the source's.
         day_rmse: RMS change of the estimates that the day makes, in the reference unit; 0 where it was not measured.
-        floor: RMS error of `golden`'s reference, in the same.
+        reference_rmse: RMS error of `golden`'s reference, in the same.
     """
 
     golden: LabelledRecording
     day_map: AffineMap
     day_rmse: float
-    floor: float
+    reference_rmse: float
     is_measured: bool
     run_sha256: str
 
@@ -52,8 +52,8 @@ class Bridge:
         return self.golden.sha256
 
 
-def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) -> Bridge:
-    """Look at a golden run through f.
+def fit_day_correction(model: SourceModel, run: OutputRecording | LabelledRecording) -> DayCorrection:
+    """Return the day correction that a golden run gives, as f reads it.
 
     Args:
         run: the source unit pressed in the units' sitting, with a reference where a load cell was under it; or a unit
@@ -65,7 +65,7 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
     recording = run.unlabelled if isinstance(run, LabelledRecording) else run
     source, method = model.source, model.method
     if recording.serial != source.serial and isinstance(run, LabelledRecording):
-        return _bridge_over_unit(model, run)
+        return _correct_by_unit(model, run)
     if recording.serial != source.serial:
         raise InputError(
             f"golden run of {recording.serial}: without a reference it says nothing of the loads; nothing was fitted: "
@@ -80,14 +80,17 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
         # One value a sample: before the first full window of a stretch, that of the nearest one.
         read = np.interp(np.arange(len(recording)), recording.window_rows, model.network.evaluate(recording.windows))
         golden = LabelledRecording(recording, read, source.reference_unit)
-        return Bridge(golden, SAME_DAY, 0.0, model.held_out_rmse, is_measured=False, run_sha256=run.sha256)
+        return DayCorrection(golden, SAME_DAY, 0.0, model.held_out_rmse, is_measured=False, run_sha256=run.sha256)
     day_map = _fit_day(model.network, run, method)
     corrected = replace(recording, output=day_map.gain * recording.output + day_map.offset)
     before, after = (model.network.evaluate(r.windows) for r in (recording, corrected))
     # No day explains another unit, or loads in another unit of measurement.
-    load, gain, most = run.window_reference, day_map.gain, method.bridge.most_gain
+    load, gain, max_change = run.window_reference, day_map.gain, method.day_correction.max_gain_change
     error = rmse(after, load)
-    if error > method.bridge.most_misread * float(np.std(load)) or not 1 / most <= gain <= most:
+    if (
+        error > method.day_correction.max_relative_error * float(np.std(load))
+        or not 1 / max_change <= gain <= max_change
+    ):
         unit = run.reference_unit
         compared = "; ".join(map(str, compare_recordings(source, run)))
         raise InputError(
@@ -96,13 +99,13 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
             "was fitted"
         )
     golden = replace(run, unlabelled=corrected)
-    return Bridge(golden, day_map, rmse(before, after), 0.0, is_measured=True, run_sha256=run.sha256)
+    return DayCorrection(golden, day_map, rmse(before, after), 0.0, is_measured=True, run_sha256=run.sha256)
 
 
-def _bridge_over_unit(model: SourceModel, run: LabelledRecording) -> Bridge:
+def _correct_by_unit(model: SourceModel, run: LabelledRecording) -> DayCorrection:
     """Return the loads of a unit's labelled run with the output that the source would show under them at rest."""
-    network, known, recording = model.network, model.source.unlabelled, run.unlabelled
-    levels = np.linspace(known.output.min(), known.output.max(), LEVELS)
+    network, source_recording, recording = model.network, model.source.unlabelled, run.unlabelled
+    levels = np.linspace(source_recording.output.min(), source_recording.output.max(), LEVELS)
     loads = network.evaluate(resting(levels))
     is_rising = model.interval.slope_limit > 0
     levels, loads = (levels, loads) if is_rising else (levels[::-1], loads[::-1])
@@ -111,23 +114,23 @@ def _bridge_over_unit(model: SourceModel, run: LabelledRecording) -> Bridge:
     load = golden.window_reference
     error = rmse(network.evaluate(golden.windows), load)
     is_of_it = find_synchrony(golden.unlabelled, recording, model.method.map).is_synchronous
-    if not is_of_it or error > model.method.bridge.most_misread * float(np.std(load)):
+    if not is_of_it or error > model.method.day_correction.max_relative_error * float(np.std(load)):
         raise InputError(
             f"golden run of {run.serial}: its output does not follow its reference, or f misreads these loads "
             f"({error:.3g} {run.reference_unit} RMS at the best); is the reference of this run, and in "
             f"{model.source.reference_unit}? nothing was fitted"
         )
-    return Bridge(golden, SAME_DAY, 0.0, error, is_measured=True, run_sha256=run.sha256)
+    return DayCorrection(golden, SAME_DAY, 0.0, error, is_measured=True, run_sha256=run.sha256)
 
 
 def _fit_day(network: Network, run: LabelledRecording, method: Method) -> AffineMap:
     """Fit gain and zero of a day by least squares on f; the same day where that reads held-out stretches no better."""
     rows = evenly(len(run.windows), method.map.pairs.pairs)
     # Whole stretches of time are held out: neighbouring windows share samples.
-    is_held = np.arange(len(rows)) * 16 // len(rows) % 2 == 1
-    held, fitted = rows[is_held], rows[~is_held]
+    is_held_out = np.arange(len(rows)) * 16 // len(rows) % 2 == 1
+    held_out, fitted = rows[is_held_out], rows[~is_held_out]
     trial = _least_squares(network, run, fitted)
-    if _misread(network, run, trial, held) >= _misread(network, run, SAME_DAY, held):
+    if _load_rmse(network, run, trial, held_out) >= _load_rmse(network, run, SAME_DAY, held_out):
         return SAME_DAY
     return _least_squares(network, run, rows)
 
@@ -146,5 +149,5 @@ def _least_squares(network: Network, run: LabelledRecording, rows: Indices) -> A
     return day(solution.x)
 
 
-def _misread(network: Network, run: LabelledRecording, day_map: AffineMap, rows: Indices) -> float:
+def _load_rmse(network: Network, run: LabelledRecording, day_map: AffineMap, rows: Indices) -> float:
     return rmse(network.evaluate(day_map.apply(np.asarray(run.windows[rows]))), run.window_reference[rows])
