@@ -29,7 +29,7 @@ from common.desk_pictures import (
 )
 from common.screens import THEMES, chromium, served
 from common.tables import print_table
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, ViewportSize, Page
 
 HEIGHTS = {820: 1180, 1280: 800, 1920: 1080}
 """Of a window by its width, in pixels."""
@@ -79,7 +79,7 @@ def looks(
     for theme in THEMES:
         for width, height in ((width, HEIGHTS[width]) for width in widths):
             for name, pin, pages in PEOPLE:
-                size = {"width": width, "height": height}
+                size = ViewportSize(width=width, height=height)
                 context = browser.new_context(viewport=size, color_scheme=theme, bypass_csp=True)
                 page = context.new_page()
                 if name:

@@ -49,7 +49,7 @@ def test_good_units_are_near_their_forecasts_and_their_intervals_hold(calibrate,
         gain, offset_V = 0.8 + 0.1 * k, 0.02 * k
         calibration = calibrate(press(20 + k, gain, offset_V, seconds=120.0).unlabelled)
         audit = press(40 + k, gain, offset_V)
-        result = estimate(linear_network, calibration.calibration, audit.unlabelled)
+        result = estimate(linear_network, calibration, audit.unlabelled)
         rows = np.isfinite(result.estimate)
         covered.append(np.mean(((result.lower <= audit.reference) & (audit.reference <= result.upper))[rows]))
         ratios.append(rmse(result.estimate, audit.reference) / calibration.predicted_rmse)
@@ -71,7 +71,7 @@ def test_a_state_is_read_back_as_it_was_written(calibrate, linear_network, good)
     assert (again.decision, again.forecast, again.limit) == (state.decision, state.forecast, state.limit)
     assert (again.map_id, again.map_sha256) == (state.map_id, state.map_sha256)
     assert again.fit.fitted.output_limits == state.fit.fitted.output_limits
-    one, two = (estimate(linear_network, each.calibration, good) for each in (state, again))
+    one, two = (estimate(linear_network, each, good) for each in (state, again))
     for name in ("estimate", "lower", "upper", "flag"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
     # Without its arrays it is decided on alike, and estimates nothing.
@@ -194,7 +194,7 @@ def test_unit_pressed_at_once_with_the_source_is_measured_against_its_reference(
     calibration = calibrate(unit.unlabelled, method=AUTO)
     assert calibration.unit_map.family == "synchronous"
     audit = press(41, gain=1.3, offset_V=0.05)
-    true = rmse(estimate(linear_network, calibration.calibration, audit.unlabelled).estimate[14:], audit.reference[14:])
+    true = rmse(estimate(linear_network, calibration, audit.unlabelled).estimate[14:], audit.reference[14:])
     assert calibration.fit.budget["paired"] == pytest.approx(true, rel=0.25)
     assert calibration.predicted_rmse == pytest.approx(true, rel=0.35)
     assert "wrong programme" not in findings(calibration)

@@ -137,7 +137,7 @@ def test_the_map_reads_what_is_left_once_gain_and_zero_are_taken_off(rng, source
     line = corrected.correction.line
     assert corrected.map_sha256 != state.map_sha256 and corrected.map_id != state.map_id
     assert corrected.predicted_rmse == state.predicted_rmse
-    read = [estimate(source_model.network, one.calibration, unit).estimate for one in (state, corrected)]
+    read = [estimate(source_model.network, one, unit).estimate for one in (state, corrected)]
     wanted = (read[0] - line.zero) / line.gain
     span, rows = float(np.ptp(source_model.source.reference)), np.isfinite(wanted)
     # A straight line behind the map goes through both ends; between them f bends it a little.

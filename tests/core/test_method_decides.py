@@ -53,7 +53,7 @@ def qualified(method):
             ]
             found = qualify([], past, NOW, "EG", method)
             yield found.source, found.reason.to_json()
-    yield [qualify(audited(count, 0.1), [], NOW, "EG", method, units=30).wanted for count in range(10)]
+    yield [qualify(audited(count, 0.1), [], NOW, "EG", method, units=30).required for count in range(10)]
 
 
 def stated(method):
@@ -136,7 +136,7 @@ def test_fifty_audits_and_a_risk_of_a_thousandth_release_nothing_on_ten_audits()
     rest, audits = {"U": 0.1}, audited(10, 0.1)
     assert release(rest, audits, LIMIT, Method().release).released == ("U",)
     assert release(rest, audits, LIMIT, method.release).released == ()
-    assert qualify(audits, [], NOW, "EG", method).wanted == 989
+    assert qualify(audits, [], NOW, "EG", method).required == 989
 
 
 def test_a_correction_takes_the_number_of_audits_of_the_units_own_method(source_model, press):

@@ -61,7 +61,7 @@ def test_an_error_near_the_limit_is_conditional_within_it_and_fails_beyond_it(rm
 
 def test_the_reason_states_error_limit_and_where_the_limit_comes_from():
     verdict = compare_with_limit(ErrorForecast(0.5, 0.46, 0.54), default_limit("N", 0.15, 3.0, DecisionConfig()))
-    assert "0.5 N" in str(verdict.reasons[0])
+    assert "0.500 N" in str(verdict.reasons[0])
     assert verdict.reasons[0].values["origin"].code == "part.automatic"
 
 
