@@ -29,7 +29,7 @@ from common.desk_pictures import (
 )
 from common.screens import THEMES, chromium, served
 from common.tables import print_table
-from playwright.sync_api import Browser, ViewportSize, Page
+from playwright.sync_api import Browser, Page, ViewportSize
 
 HEIGHTS = {820: 1180, 1280: 800, 1920: 1080}
 """Of a window by its width, in pixels."""

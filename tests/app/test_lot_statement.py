@@ -66,7 +66,15 @@ def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk() -> None:
     assert pages == 1
     drawn = say("paper.drawn.is", drawn=10, population=40, day="2026-04-02", since=3, before=7, others=4)
     promise = say("paper.promise.is", risk=0.1, confidence=0.9)
-    for one in (str(FACTS.decided.statement), say("paper.given"), "EG <3 mm>", "0.500 N", drawn, promise, "SERIAL-00019"):
+    for one in (
+        str(FACTS.decided.statement),
+        say("paper.given"),
+        "EG <3 mm>",
+        "0.500 N",
+        drawn,
+        promise,
+        "SERIAL-00019",
+    ):
         assert one in text, one
     # Nothing waits and nothing was withdrawn: no title says otherwise.
     assert say("paper.withdrawn") not in text
