@@ -1,7 +1,6 @@
 """Figures of a diagnosis: arrays, report values and words in, Plotly figures out."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from softcal.app.charts.style import LEVEL_BARS
 from softcal.app.texts.reasons import Translator, render_reason
 from softcal.app.views.common import percent
 from softcal.app.views.gap import channel_name, effect_name, profile_name, rank_causes, stage_name
+from softcal.app.views.gap_runs import ChannelView, RunView
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array, Indices
 
@@ -51,37 +51,6 @@ MAX_POINTS = 1500
 
 COMPARED_POINTS = 500
 """ ... and of each of three that lie on one another."""
-
-
-@dataclass(frozen=True, eq=False)
-class ChannelView:
-    """One channel of one run: (n,) measured, of the refitted base, and of the base with the causes.
-
-    `noise` is the standard deviation of the noise, in the channel's unit as all of them.
-    """
-
-    measured: Array
-    base: Array
-    explained: Array
-    noise: float
-
-
-@dataclass(frozen=True, eq=False)
-class RunView:
-    """What the page shows of one run.
-
-    Args:
-        t_s: (n,) time since the start of the run.
-        drive: (n,) stage position in mm, else the force in N; its slope tells the direction.
-        load_N: (n,) force for the bands; measured where there is a load cell, else predicted.
-    """
-
-    name: str
-    profile: str
-    t_s: Array
-    drive: Array
-    load_N: Array
-    channels: Mapping[str, ChannelView]
 
 
 _Line = tuple[str, Array, str, Indices]

@@ -8,11 +8,11 @@ from typing import Any
 import plotly.graph_objects as go
 
 from softcal.app.charts import gap as figures
-from softcal.app.charts.gap import RunView
 from softcal.app.charts.page import document, section, table
 from softcal.app.paper.drawing import svg
 from softcal.app.texts.reasons import Translator
 from softcal.app.views import gap
+from softcal.app.views.gap_runs import RunView
 
 MAX_CAUSES = 10
 OFFSET_KINDS = {"zero", "gain", "delay", "drift"}

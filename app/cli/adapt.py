@@ -88,6 +88,8 @@ def run(options: argparse.Namespace) -> None:
     from softcal.core.operation.adapter import QUEUES, AdaptConfig
     from softcal.core.operation.method import DriftTracking, OnlineConfig
 
+    if options.html is not None:  # What the page needs is asked for before the stream, not after it.
+        import softcal.app.operation.course_page  # noqa: F401
     method = DriftTracking()
     if options.queue is not None:
         if options.mode not in QUEUES:
@@ -123,7 +125,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptReport") -> None:
-    from softcal.app.operation.adapt import maps_of, report_json, write_figure
+    from softcal.app.operation.adapt import maps_of, report_json
 
     flags = [f"{count} {flag}" for flag, count in sorted(report.flags.items()) if flag]
     verdicts = ", ".join(f"{count} x {verdict}" for verdict, count in report.verdicts.items() if verdict != "start")
@@ -141,5 +143,7 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
         return
     course = registry.adaptations.all(report.unit, report.stream)
     if options.html is not None:
-        write_figure(registry, options.html, report, maps_of(course))
+        from softcal.app.operation.course_page import write_course_page
+
+        write_course_page(options.html, report, maps_of(course))
     write_json(options.json, report_json(report, course))

@@ -115,8 +115,8 @@ def _diagnose(options: argparse.Namespace) -> None:
 
     Report the stage of the gap, its causes with probabilities, the shrink on held-out runs, and the next experiment.
     """
-    from softcal.app.gap.diagnose import write_page
-
+    if options.page:  # What a page needs is asked for before the search, not after it.
+        from softcal.app.gap.page import write_page
     diagnosis = _diagnose_case(options)
     _show(diagnosis, options)
     if options.page:

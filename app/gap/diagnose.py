@@ -4,17 +4,14 @@ import json
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from softcal.app.bootstrap import current_user
-from softcal.app.charts.gap import ChannelView, RunView
-from softcal.app.charts.gap_page import gap_page
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case, open_table, read_json
 from softcal.app.tables.options import DETECT, TableOptions
-from softcal.app.texts.catalogue import text
+from softcal.app.views.gap_runs import ChannelView, RunView
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
@@ -24,9 +21,6 @@ from softcal.core.transfer import calibration_gap
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, twin_from_record, twin_record
 from softcal.db.provenance import Provenance, hash_files, record_provenance
-
-if TYPE_CHECKING:
-    from softcal.app.charts.gap import RunView
 
 
 def open_case_or_table(path: Path, readout: ReadoutMetadata | None = None, table: TableOptions = DETECT) -> Case:
@@ -65,13 +59,7 @@ def diagnose_case(
     return replace(diagnosis, provenance=case_provenance(path).to_json())
 
 
-def write_page(path: Path, diagnosis: Diagnosis[Any]) -> None:
-    """Write the page of figures of a diagnosis in English, whole or not at all."""
-    page = gap_page(diagnosis.report(), run_views(diagnosis), diagnosis.case.serial, partial(text, "en"))
-    write_text(path, page)
-
-
-def run_views(diagnosis: Diagnosis[Any]) -> list["RunView"]:
+def run_views(diagnosis: Diagnosis[Any]) -> list[RunView]:
     """Return every pressed run as a page shows it: measured, and predicted before and after."""
     problem, views = diagnosis.best.problem, []
     for k, run in enumerate(diagnosis.case.runs):

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
-from softcal.app.charts.gap import ChannelView, RunView
 from softcal.app.files.atomic import atomic_folder, write_bytes, write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case
 from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge, record_experiment
 from softcal.app.gap.diagnose import run_views
+from softcal.app.views.gap_runs import ChannelView, RunView
 from softcal.core.challenge.recording_mistakes import Mistake
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 
 if TYPE_CHECKING:
-    from softcal.app.charts.gap import RunView
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.twin import TwinModel
     from softcal.db.schema.arrays import Arrays
@@ -128,7 +127,7 @@ def pack_diagnosis(diagnosis: "Diagnosis[TwinModel]") -> "tuple[dict[str, Any], 
     return diagnosis.report() | {"runs": runs}, {name: np.asarray(a, dtype=np.float32) for name, a in arrays.items()}
 
 
-def run_views_of(report: Mapping[str, Any], arrays: "Arrays") -> list["RunView"]:
+def run_views_of(report: Mapping[str, Any], arrays: "Arrays") -> list[RunView]:
     """Return the runs of a kept diagnosis, ready for its figures."""
 
     def array(k: int, *parts: str) -> Array:

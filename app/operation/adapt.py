@@ -5,19 +5,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softcal.app.charts.long_term import course_figure
-from softcal.app.charts.palette import LIGHT
-from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import Stream, estimate_writer
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.registry.unit import UnitInUse, unit_in_use
-from softcal.app.texts.catalogue import text
-from softcal.app.views.long_term import Course, Trace
+from softcal.app.views.long_term import Trace
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot, UnitKey
@@ -309,12 +304,3 @@ def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[st
 def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the steps of a course that changed something, without the checkpoints."""
     return [step for step in course if step["event"] != "checkpoint"]
-
-
-def write_figure(registry: Registry, path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
-    """Write drift, map, estimate and predicted error over time as one page."""
-    units, steps = (report.lot.output_unit, report.lot.reference_unit), tuple(s for s in maps if s["t_s"] is not None)
-    course = Course(report.serial, report.stream, steps, *units)
-    figure = course_figure(course, LIGHT, partial(text, "en"), report.trace)
-    figure.update_layout(title={"text": f"{report.serial}, stream {report.stream}", "x": 0.99, "xanchor": "right"})
-    write_text(path, figure.to_html(include_plotlyjs=True))

@@ -1,5 +1,8 @@
 """The demo in small: pressed over simulated serial lines, written as a lot folder, calibrated, scored."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ from softcal.app.batch.batch import run_batch
 from softcal.app.batch.engine import EngineChoice
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
+from softcal.app.extras import MODULES_OF
 from softcal.app.line.demo import TABLE_HEADER, DemoConfig, PressTimes, press_demo_lot, press_simulated_lot, table_row
 from softcal.app.output import ProgressBar
 from softcal.core.network.config import NetworkConfig
@@ -85,3 +89,26 @@ def test_the_demo_says_where_its_lot_is(lot_folder: Path, tmp_path: Path, capsys
     main(["demo", "--out", str(tmp_path), "--jobs", "1", "--hidden", "8"])
     out = capsys.readouterr().out
     assert f"softcal ui --registry sqlite:///{tmp_path / 'registry.db'}" in out
+
+
+MISSING = """
+import importlib.machinery
+
+find = importlib.machinery.PathFinder.find_spec
+importlib.machinery.PathFinder.find_spec = lambda name, *more: None if name in {libraries!r} else find(name, *more)
+from softcal.app.cli.main import main
+assert main(["demo", "--units", "1", "--hidden", "8", "--out", {out!r}]) in (0, 1)
+"""
+
+
+@pytest.mark.long
+def test_the_demo_needs_no_more_than_make_installs_for_it(tmp_path: Path) -> None:
+    makefile = (Path(__file__).parents[2] / "Makefile").read_text()
+    (extras,) = (line for line in makefile.splitlines() if line.startswith("\t$(call install,") and "twin" in line)
+    installed = re.findall(r"--extra (\w+)", extras)
+    assert "twin" in installed
+    libraries = [library for extra, names in MODULES_OF.items() if extra not in installed for library in names]
+    code = MISSING.format(libraries=libraries, out=str(tmp_path))
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+    assert (tmp_path / "registry.db").is_file()

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from softcal.app.charts.gap import (
-    ChannelView,
-    RunView,
     chain_figure,
     direction,
     gain_figure,
@@ -22,6 +20,7 @@ from softcal.app.charts.palette import palette
 from softcal.app.charts.style import apply_theme
 from softcal.app.paper.drawing import svg
 from softcal.app.texts.catalogue import text
+from softcal.app.views.gap_runs import ChannelView, RunView
 
 ENGLISH = partial(text, "en")
 

@@ -10,6 +10,7 @@ import pytest
 
 from softcal.app.bootstrap import ONE_THREAD
 from softcal.app.cli.main import COMMANDS, main
+from softcal.app.extras import MODULES_OF
 from softcal.db.connection import open_registry
 
 HEAVY = {"scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special",
@@ -93,6 +94,40 @@ def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
     options = ("--registry", calibrated["url"], "--hidden", "16,8", "--no-own", "--refit")
     found = loaded("batch", str(trained_lot / "lot"), *options, codes=(0, 1))
     assert not {"scipy.stats", "torch"} & found
+
+
+PARTS_OF_EXTRA = {
+    "train": ("core.network.training_steps",),
+    "ui": ("app.ui", "app.rest"),
+    "documents": ("app.charts", "app.ui", "app.export.certificates", "app.paper", "app.api.figures", "app.gap.page",
+                  "app.operation.course_page", "app.files.onnx_file"),
+    "sklearn": ("app.api.estimators",),
+    "connect": ("app.connect", "app.rest"),
+}  # fmt: skip
+"""The parts of softcal that an extra is for; every other module imports where its libraries are missing."""
+
+WITHOUT = """
+import importlib.machinery, pathlib
+
+find = importlib.machinery.PathFinder.find_spec
+importlib.machinery.PathFinder.find_spec = lambda name, *more: None if name in {libraries!r} else find(name, *more)
+for file in sorted(p for part in ("app", "core", "db", "station") for p in pathlib.Path(part).rglob("*.py")):
+    module = ".".join(file.with_suffix("").parts).removesuffix(".__init__")
+    if module.startswith({parts!r}):
+        continue
+    try:
+        importlib.import_module("softcal." + module)
+    except ModuleNotFoundError:
+        print(module)
+"""
+
+
+@pytest.mark.parametrize("extra", PARTS_OF_EXTRA)
+def test_only_the_parts_an_extra_is_for_need_its_libraries(extra):
+    code = WITHOUT.format(libraries=MODULES_OF[extra], parts=PARTS_OF_EXTRA[extra])
+    root = Path(__file__).parents[2]
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert answer.stdout.split() == []
 
 
 def test_what_calibrates_loads_no_search_tree_before_a_stage_asks_for_it():
