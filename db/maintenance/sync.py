@@ -21,7 +21,7 @@ from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.arrays import copy_blob
 from softcal.db.schema.column_types import UtcTime
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import AUDITED, audit, blobs, limits, metadata
+from softcal.db.schema.tables import AUDITED, audit, blobs, limits, line_rules, metadata
 from softcal.db.schema.transaction_cache import HAS_AUDIT_ROWS, clear_cache
 
 ROWS_AT_ONCE = 200
@@ -84,11 +84,9 @@ def conflicts(registry: RegistryBase) -> list[str]:
     database = registry.database
     with database.reading():
         map_conflicts = [conflict_line(database, lot_id, serial) for lot_id, serial in conflicts_of(database)]
-        version = (limits.c.lot_id, limits.c.version)
-        doubles = select(*version).group_by(*version).having(func.count() > 1).order_by(*version)
-        twice = [
-            f"lot {lot_id!r} limit version {number} was set by two registries; the newer one holds"
-            for lot_id, number in database.tuples(doubles)
+        set_twice = [
+            *_version_conflicts(database, limits, "limit"),
+            *_version_conflicts(database, line_rules, "rules of the line"),
         ]
         decided = decision_conflicts(database)
         chains: dict[str, set[str]] = {}
@@ -100,7 +98,24 @@ def conflicts(registry: RegistryBase) -> list[str]:
         for key, versions in sorted(chains.items())
         if len(versions) > 1
     ]
-    return [*map_conflicts, *twice, *decided, *differing]
+    return [*map_conflicts, *set_twice, *decided, *differing]
+
+
+def _version_conflicts(database: Database, versions: Table, noun: str) -> list[str]:
+    """Return a line for each lot whose newest version two registries set to different values."""
+    c = versions.c
+    newest = select(c.lot_id, func.max(c.version).label("version")).group_by(c.lot_id).subquery()
+    is_newest = and_(newest.c.lot_id == c.lot_id, newest.c.version == c.version)
+    values: dict[tuple[str, int], set[tuple[object, ...]]] = {}
+    for row in database.rows(select(versions).join(newest, is_newest).order_by(c.lot_id)):
+        of_version = values.setdefault((row["lot_id"], row["version"]), set())
+        # Who set it, and when, is no part of what it says.
+        of_version.add(tuple(row[name] for name in c.keys() if name not in ("origin", "made_at", "actor", "reason")))
+    return [
+        f"lot {lot_id!r} {noun} version {number} was set by two registries; the newer one holds"
+        for (lot_id, number), different in values.items()
+        if len(different) > 1
+    ]
 
 
 def _send(source: Database, target: Database) -> int:

@@ -63,7 +63,7 @@ def fake_work(shared, chunk):
         number = int(task.recording.content)
         if number == BAD:
             result = Refusal(Verdict.RETEST, plain("bad"))
-        elif input_of(task.serial, number) in task.known:
+        elif input_of(task.serial, number) in task.existing:
             result = ExistingCalibration(input_of(task.serial, number))
         else:
             result = Calibrated(unit_state(task.serial, number), input_of(task.serial, number))
@@ -154,13 +154,15 @@ class OneAnswerMachine(RuleBasedStateMachine):
         with mock.patch.object(lot_work, "work_on", counting):
             work = self.work(folder, side, BatchConfig(), Callbacks())
             work.run()
-            told = work.told(list(paths))
+            results = work.unit_results(list(paths))
         assert set(undecided) <= set(worked)
         # A batch that was broken off leaves work in the queue that nobody may need any more.
         assert side in self.broken_off or sorted(worked) == sorted(undecided)
         for serial in files:
             self.answered(side, serial)
-        assert {serial: result.verdict for serial, result in told.items()} == {s: self.verdict(side, s) for s in files}
+        assert {serial: result.verdict for serial, result in results.items()} == {
+            s: self.verdict(side, s) for s in files
+        }
 
     def work(self, folder: LotFolder, side: str, config: BatchConfig, watch: Callbacks) -> LotWork:
         registry = self.registries[side]

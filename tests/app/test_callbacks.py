@@ -55,12 +55,12 @@ def callbacks(path: Path) -> list[tuple[int, str, bool]]:
     whole = {
         node.name
         for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef) and "in_one_piece" in map(ast.unparse, node.decorator_list)
+        if isinstance(node, ast.FunctionDef) and "run_uninterrupted" in map(ast.unparse, node.decorator_list)
     }
     whole |= {
         ast.unparse(node.targets[0])
         for node in ast.walk(tree)
-        if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("in_one_piece(")
+        if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("run_uninterrupted(")
     }
     given = [
         (node.lineno, keyword.value)
@@ -83,11 +83,11 @@ def _is_widget(call: ast.Call) -> bool:
 
 def _is_whole(value: ast.expr, whole: set[str]) -> bool:
     # st.login is Streamlit's own: it sends the browser away and does nothing else.
-    return ast.unparse(value) in whole | {"st.login"} or ast.unparse(value).startswith("in_one_piece(")
+    return ast.unparse(value) in whole | {"st.login"} or ast.unparse(value).startswith("run_uninterrupted(")
 
 
 @pytest.mark.long
-def test_every_callback_of_a_screen_runs_in_one_piece() -> None:
+def test_every_callback_of_a_screen_runs_run_uninterrupted() -> None:
     found = {(path.name, *callback) for path in UI.rglob("*.py") for callback in callbacks(path)}
     assert len(found) >= 6
     assert not [callback for callback in found if not callback[-1]]

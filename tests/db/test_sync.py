@@ -1,5 +1,6 @@
 """A station that was offline and the line's registry end up with the same history, whatever happens on the way."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -151,9 +152,21 @@ def test_a_clock_that_is_ahead_is_said_and_does_not_win(station, registry, make_
 
 def test_the_same_lot_registered_on_both_sides_comes_together(station, registry, make_factory):
     make_factory(registry)
-    (told,) = synchronise(station.registry, registry).conflicts
-    assert "'L1'" in told
+    assert synchronise(station.registry, registry).conflicts == ()
     assert registry.verify() == station.registry.verify() == []
+
+
+def test_another_limit_or_other_rules_of_one_version_are_a_conflict(station, registry, make_factory):
+    make_factory(registry)
+    for side, number in ((station.registry, 1), (registry, 2)):
+        side.lots.set_limit("L1", 0.1 * number, reason="test")
+        lot = side.lots.get("L1")
+        side.lots.set_line_rules("L1", replace(side.lots.line_rules(lot), target=number), reason="test")
+    conflicts = synchronise(station.registry, registry).conflicts
+    assert len(conflicts) == 2 and all("'L1'" in line for line in conflicts)
+    station.registry.lots.set_limit("L1", 0.3, reason="test")
+    (conflict,) = synchronise(station.registry, registry).conflicts
+    assert "rules" in conflict
 
 
 def test_a_lot_with_other_facts_elsewhere_is_told(station, registry):
