@@ -63,10 +63,11 @@ class Case:
     is_fresh: bool = False
 
 
-def _case(words: str, *more: str, is_fresh: bool = False) -> Case:
-    argv = (*words.split(), *more, "--registry", "{url}")
-    name = " ".join(takewhile(lambda word: not word.startswith(("--", "{")), words.split()))
-    return Case(name, argv, is_fresh)
+def _case(words: str, *more: str, is_fresh: bool = False, has_registry: bool = True) -> Case:
+    argv = (*words.split(), *more, *(("--registry", "{url}") if has_registry else ()))
+    action = list(takewhile(lambda word: not word.startswith(("--", "{")), words.split()))
+    options = [word for word in words.split()[len(action) :] if word in ("--out", "--refit", "--withdraw")]
+    return Case(" ".join(action + options), argv, is_fresh)
 
 
 WHY = ("--reason", "agreed with the customer")
@@ -83,6 +84,12 @@ CASES = (
     _case("lot limit {id} --rmse 0.31 --yes", *WHY),
     _case("trim --serial U000002 --loads {loads} --yes"),
     _case("lot audit {id} {audit}/U000000.csv {audit}/U000001.csv --yes"),
+    _case("estimate {audit}/U000000.csv --serial U000000 --out {root}/estimate.csv"),
+    _case("explain --serial U000000 --out {root}/why.html"),
+    _case("import {lot}/source/S0.csv {lot}/units/U000000.csv --source S0 --out {root}/made", has_registry=False),
+    _case("gap challenge --cases 2 --seed 4 --out {root}/sealed", has_registry=False),
+    _case("station unit --simulated --serial A1 --out {root}/A1.csv --spool {root}/spool.part", has_registry=False),
+    _case("registry upgrade", is_fresh=True),
     _case("registry backup {root}/backup.db"),
     _case("registry restore {backup}", is_fresh=True),
     _case("registry sync --with {other}"),

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass
+from threading import Event
 
 import numpy as np
 
@@ -23,6 +24,9 @@ class HostClock:
 
     def sleep_s(self, seconds: float) -> None:
         time.sleep(max(0.0, seconds))
+
+    def wait(self, event: Event, seconds: float) -> None:
+        event.wait(max(0.0, seconds))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from threading import Event
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from softcal.core.errors import DeviceError
@@ -65,6 +66,9 @@ class Clock(Protocol):
         """Return seconds since an arbitrary start, never decreasing."""
 
     def sleep_s(self, seconds: float) -> None: ...
+
+    def wait(self, event: Event, seconds: float) -> None:
+        """Wait until an event is set, at most so long; for a thread beside the host's own."""
 
 
 class Stage(Protocol):

@@ -7,6 +7,7 @@ properties of docs/hazards.md.
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from threading import Event
 from types import SimpleNamespace
 from typing import Any
 
@@ -229,6 +230,9 @@ class _Clock:
         self.t_s += max(seconds, STEP_S)
         if self.t_s > LONGEST_S:
             raise _Endless
+
+    def wait(self, event: Event, seconds: float) -> None:
+        self.sleep_s(seconds)
 
 
 class _SeenMotion(Motion):

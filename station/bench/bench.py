@@ -81,7 +81,7 @@ def open_simulated_bench(
 
     Args:
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can. A driver that
-            reads in a thread of its own makes simulated time real time.
+            reads in a thread of its own makes simulated time pass in real time at most.
         other_units: further units under the same stage, each on its own channel.
 
     Returns:
@@ -90,6 +90,7 @@ def open_simulated_bench(
     # The simulator is an extra: a real rig does without it.
     from softcal.core.twin.simulate import Twin  # noqa: PLC0415
     from softcal.station.bench.simulated_station import SimulatedStation  # noqa: PLC0415
+    from softcal.station.simulated.world import HOST_SPEED  # noqa: PLC0415
 
     twin = unit or Twin()
     rng = np.random.default_rng(seed)
@@ -97,9 +98,8 @@ def open_simulated_bench(
     with ExitStack() as stack:
         stack.callback(station.close)
         if station.is_threaded:
-            stack.enter_context(station.world.in_background())
-        clock = HostClock() if station.is_threaded else station.world
-        yield stack.enter_context(open_bench(simulated_config(station), clock)), station
+            stack.enter_context(station.world.in_background(HOST_SPEED))
+        yield stack.enter_context(open_bench(simulated_config(station), station.world)), station
 
 
 def simulated_config(station: "SimulatedStation") -> StationConfig:

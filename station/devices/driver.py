@@ -82,7 +82,7 @@ class Driver(Generic[C, D]):
         open: opens the device or raises `DeviceError`, with everything it opened given back.
         simulate: makes the device for the simulated station and for the test kit.
         wires: connections that `port` may name, first the connection of the simulated device.
-        is_threaded: whether it reads in a separate thread; simulated time then runs in real time.
+        is_threaded: whether it reads in a separate thread; simulated time then passes in real time at most.
         messages: its messages in English: code → sentence with values in braces, for `reason(code, **values)`.
     """
 

@@ -2,11 +2,12 @@
 
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 
 from softcal.station.simulated.far_end import SimulatedAnswers
 from softcal.station.simulated.wire import Wire
 
-TIMEOUT_S = 0.4
+TIMEOUT_S = 3.0
 REGISTERS = {"_RANGE": 10.0, "_RESOLUTION_INDEX": 0.0}
 
 
@@ -59,7 +60,8 @@ class SimulatedLjm:
         return handle
 
     def close(self, handle: int) -> None:
-        self._sockets.pop(handle).close()
+        with self._sockets.pop(handle) as line, suppress(OSError):
+            line.shutdown(socket.SHUT_RDWR)  # A call of another thread ends.
 
     def eReadName(self, handle: int, name: str) -> float:
         return self._ask(handle, [name])[0]

@@ -14,7 +14,13 @@ from itertools import count
 
 from softcal.station.simulated.far_end import FarEnd
 
-LARGEST_LAG_S, BACKGROUND_STEP_S = 0.1, 0.002
+LARGEST_LAG_S = 0.1
+
+BACKGROUND_STEP_S, LARGEST_STEP_S = 0.002, 0.01
+"""Real time between two steps in the background, and the largest step of simulated time."""
+
+HOST_SPEED = 10.0
+"""A host on the world's clock is faster by this factor than the computer: other work on it does not delay the host."""
 
 
 class World:
@@ -31,7 +37,9 @@ class World:
         self._far_ends: list[FarEnd] = []
         self._planned: list[tuple[float, int, Callable[[], None]]] = []
         self._order = count()
-        self._lock = threading.RLock()
+        self._lock = threading.Condition(threading.RLock())
+        self._is_in_background = False
+        self._host_wakes_s: float | None = None
 
     def add(self, far_end: FarEnd) -> None:
         self._far_ends.append(far_end)
@@ -46,7 +54,12 @@ class World:
 
     def sleep_s(self, seconds: float) -> None:
         with self._lock:
-            self._pass(self._now_s + max(0.0, seconds))
+            wakes_s = self._now_s + max(0.0, seconds)
+            if self._is_in_background:
+                self._host_wakes_s = wakes_s
+                self._lock.wait_for(lambda: self._now_s >= wakes_s or not self._is_in_background)
+                return
+            self._pass(wakes_s)
         if self._time_factor is not None:
             ahead_s = self._now_s / self._time_factor - (time.monotonic() - self._started_s)
             if ahead_s > 0:
@@ -55,19 +68,35 @@ class World:
                 # Nobody waited for a while: time lost is not made up for by running faster.
                 self._started_s -= ahead_s
 
+    def wait(self, event: threading.Event, seconds: float) -> None:
+        with self._lock:
+            wakes_s = self._now_s + seconds
+            while self._now_s < wakes_s and not event.is_set():
+                self._lock.wait(LARGEST_STEP_S)
+
     @contextmanager
-    def in_background(self) -> Iterator[None]:
-        """Advance simulated time at the real rate, for devices that a program outside softcal uses."""
+    def in_background(self, host_speed: float = 1.0) -> Iterator[None]:
+        """Advance simulated time at the real rate at most, for devices that wait in real time.
+
+        Args:
+            host_speed: while the host does not wait on this clock, time passes slower by this factor. 1 for a program
+                that has its own clock.
+        """
         stop = threading.Event()
 
         def run() -> None:
-            before_s = time.monotonic()
-            while not stop.wait(BACKGROUND_STEP_S):
-                now_s = time.monotonic()
+            try:
+                before_s = time.monotonic()
+                while not stop.wait(BACKGROUND_STEP_S):
+                    now_s = time.monotonic()
+                    self._step(now_s - before_s, host_speed)
+                    before_s = now_s
+            finally:
                 with self._lock:
-                    self._pass(self._now_s + now_s - before_s)
-                before_s = now_s
+                    self._is_in_background = False
+                    self._lock.notify_all()
 
+        self._is_in_background = True
         thread = threading.Thread(target=run, name="simulated world", daemon=True)
         thread.start()
         try:
@@ -75,6 +104,16 @@ class World:
         finally:
             stop.set()
             thread.join()
+
+    def _step(self, real_s: float, host_speed: float) -> None:
+        with self._lock:
+            if self._host_wakes_s is None:
+                self._pass(self._now_s + (real_s if host_speed == 1.0 else min(real_s, LARGEST_STEP_S) / host_speed))
+            else:
+                self._pass(min(self._now_s + min(real_s, LARGEST_STEP_S), self._host_wakes_s))
+                if self._now_s >= self._host_wakes_s:
+                    self._host_wakes_s = None
+            self._lock.notify_all()
 
     def _pass(self, until_s: float) -> None:
         for far_end in self._far_ends:

@@ -11,13 +11,12 @@ from softcal.core.errors import DeviceError
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.station.bench.catalogue import driver_of
 from softcal.station.bench.simulated_station import wire_for
-from softcal.station.clock import HostClock
 from softcal.station.devices.config import DeviceConfig
 from softcal.station.devices.driver import AnyDriver, Opening, Simulated, Surroundings
 from softcal.station.interfaces import Clock, Reader, Sample, Stage, StagePosition
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
-from softcal.station.simulated.world import World
+from softcal.station.simulated.world import HOST_SPEED, World
 
 T = TypeVar("T")
 
@@ -60,11 +59,11 @@ class DriverRig:
         if self.shared_stage is not None:
             self._shared_stage_config: DeviceConfig = self._live(self.shared_stage).config
         self.simulated = self._live(driver)
-        self.clock: Clock = HostClock() if driver.is_threaded else self.world
+        self.clock: Clock = self.world
 
     def __enter__(self) -> "DriverRig":
         if self.driver.is_threaded:
-            self._stack.enter_context(self.world.in_background())
+            self._stack.enter_context(self.world.in_background(HOST_SPEED))
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -123,4 +123,4 @@ class ThreadedReader:
                     self._device_s, self._newest_s = reading.device_s, now_s
                     self._samples.append(Sample((call_s + now_s) / 2, reading.device_s, reading.values))
             next_s = next_query_s(next_s, call_s, self.rate_Hz)
-            self._ends.wait(max(0.0, next_s - now_s))
+            self._clock.wait(self._ends, next_s - now_s)

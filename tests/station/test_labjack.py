@@ -2,6 +2,7 @@
 
 import inspect
 import sys
+import time
 
 import pytest
 
@@ -68,6 +69,21 @@ def test_a_unit_is_pressed_and_recorded_through_it():
         recording = record(bench, "A1", profile, with_reference=True)
     assert (recording.output_unit, recording.sample_rate_Hz) == ("V", 50.0)
     assert recording.force_N is not None and recording.force_N.max() > 1.0
+
+
+@pytest.mark.long
+def test_a_computer_with_other_work_is_no_fault_of_a_simulated_rig():
+    profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
+    phases = set()
+
+    def stand_still_once_a_phase(progress):
+        if progress.phase not in phases:
+            phases.add(progress.phase)
+            time.sleep(0.5)
+
+    with open_simulated_bench(seed=3, readout_kind="labjack") as (bench, _):
+        recording = record(bench, "A1", profile, with_reference=True, on_progress=stand_still_once_a_phase)
+    assert len(phases) > 2 and recording.lost == 0
 
 
 def test_softcal_calls_the_library_as_it_is(monkeypatch):

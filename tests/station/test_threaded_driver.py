@@ -50,6 +50,9 @@ class HandClock:
     def sleep_s(self, seconds):
         self.time_s += seconds
 
+    def wait(self, event, seconds):
+        event.wait(seconds)
+
 
 @pytest.fixture
 def library():
