@@ -93,6 +93,7 @@ def open_mqtt(
             sender.publish([("status", OFFLINE, True)])
         client.disconnect()
         client.loop_stop()
+        client.on_connect = None  # In a circle with its sender it would keep its handles.
 
 
 class MqttSender:

@@ -63,8 +63,6 @@ def make_challenge(
     """
     if count < 1:
         raise InputError(f"--cases {count}: at least one case was expected")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is not an empty folder; nothing was written; name a new one")
     key_file = key_file or default_key_path(seal_file)
     for label, path in (("seal", seal_file), ("key", key_file)):
         if path.resolve().is_relative_to(folder.resolve()):
@@ -81,13 +79,14 @@ def make_challenge(
     else:
         raise InputError(f"--line {line}: not known; known are {', '.join(LINES)}")
     contents = {}
-    for case in cases:
-        contents[case.name] = write_case(folder / case.name, case)
-        on_case(case.name)
-    seal = seal_labels(cases, contents, seed, secrets.token_hex(32), origin)
-    write_sealed(seal_file, key_file, seal)
-    published = {"schema": SCHEMA, "cases": contents, "commitment": seal.commitment, "hash": "sha256"}
-    write_text(folder / FOLDER_FILE, json.dumps(published, indent=2) + "\n")
+    with atomic_folder(folder) as part:
+        for case in cases:
+            contents[case.name] = write_case(part / case.name, case)
+            on_case(case.name)
+        seal = seal_labels(cases, contents, seed, secrets.token_hex(32), origin)
+        published = {"schema": SCHEMA, "cases": contents, "commitment": seal.commitment, "hash": "sha256"}
+        write_text(part / FOLDER_FILE, json.dumps(published, indent=2) + "\n")
+        write_sealed(seal_file, key_file, seal)
     return ChallengeSummary(seal.commitment, tuple(contents))
 
 

@@ -1,9 +1,11 @@
 """MQTT with a real broker: every verdict arrives across restarts of broker and publisher; states stay; TLS."""
 
+import gc
 import json
 import signal
 import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -28,6 +30,7 @@ from softcal.db.registry import Registry
 from tests.wait import wait_until
 
 VERDICTS = 1000
+HANDLES = Path("/proc/self/fd")
 
 
 @dataclass
@@ -335,3 +338,20 @@ def test_what_is_no_row_of_estimates_is_refused(line):
 def test_what_is_no_output_of_adapt_is_refused(broker):
     with pytest.raises(InputError):
         publish_estimates(["t_s,output\n"], UnitKey("small", "A1"), settings_of(broker), 10)
+
+
+@pytest.mark.skipif(not HANDLES.is_dir(), reason="reads /proc")
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_a_connection_that_ended_leaves_no_handle_open(broker, is_cut):
+    gc.collect()
+    gc.disable()
+    before = len(list(HANDLES.iterdir()))
+    try:
+        for _ in range(3):
+            with suppress(NotDelivered), open_mqtt(settings_of(broker)) as sender:
+                if is_cut:
+                    broker.restart()
+                    sender.publish([("topic", "text", False)])
+        assert len(list(HANDLES.iterdir())) == before
+    finally:
+        gc.enable()

@@ -183,6 +183,17 @@ def test_a_used_folder_and_a_used_seal_are_refused(made: tuple[Path, Path], tmp_
     assert seal.read_bytes() == kept and len(open_challenge(folder, seal)) == 3
 
 
+def test_a_challenge_that_was_cut_off_leaves_nothing_and_can_be_made_again(tmp_path: Path) -> None:
+    def cut(name: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_challenge(tmp_path / "cases", tmp_path / "seal.json", 2, 4, on_case=cut)
+    assert list(tmp_path.iterdir()) == []
+    assert len(make_challenge(tmp_path / "cases", tmp_path / "seal.json", 2, 4).cases) == 2
+    assert (tmp_path / "cases" / "challenge.json").is_file()
+
+
 def test_reports_that_are_not_there_are_named(made: tuple[Path, Path]) -> None:
     folder, seal = made
     with pytest.raises(InputError, match="case-001.json"):
