@@ -340,6 +340,13 @@ def test_what_is_no_output_of_adapt_is_refused(broker):
         publish_estimates(["t_s,output\n"], UnitKey("small", "A1"), settings_of(broker), 10)
 
 
+def connect_once(broker: Broker, is_cut: bool) -> None:
+    with suppress(NotDelivered), open_mqtt(settings_of(broker)) as sender:
+        if is_cut:
+            broker.restart()
+            sender.publish([("topic", "text", False)])
+
+
 @pytest.mark.skipif(not HANDLES.is_dir(), reason="reads /proc")
 @pytest.mark.parametrize("is_cut", [False, True])
 def test_a_connection_that_ended_leaves_no_handle_open(broker, is_cut):
@@ -348,10 +355,7 @@ def test_a_connection_that_ended_leaves_no_handle_open(broker, is_cut):
     before = len(list(HANDLES.iterdir()))
     try:
         for _ in range(3):
-            with suppress(NotDelivered), open_mqtt(settings_of(broker)) as sender:
-                if is_cut:
-                    broker.restart()
-                    sender.publish([("topic", "text", False)])
+            connect_once(broker, is_cut)
         assert len(list(HANDLES.iterdir())) == before
     finally:
         gc.enable()
