@@ -19,6 +19,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -291,15 +292,17 @@ def _killed(
             is_like = {t: set(r) for t, r in left.items()} == {t: set(r) for t, r in rows.items()}
             is_like = is_like and set(written) == set(files) and all(written[path] == files[path] for path in same)
             broken, unlike = broken + (not is_whole), unlike + (not is_like)
-            twice += sum(map(len, left.values())) > sum(map(len, rows.values()))
-            if not is_like or not is_whole:
+            is_twice = sum(map(len, left.values())) > sum(map(len, rows.values()))
+            twice += is_twice
+            if not is_like or not is_whole or is_twice:
                 _tell(case, kind, rows, left, files, written, same)
     return case.name, kind, cut, broken, unlike, twice
 
 
 def _tell(case: Case, kind: str, rows: Any, left: Any, files: Any, written: Any, same: set[str]) -> None:
     for table in rows:
-        for sign, one in (("-", set(rows[table]) - set(left[table])), ("+", set(left[table]) - set(rows[table]))):
+        before, after = Counter(rows[table]), Counter(left[table])
+        for sign, one in (("-", before - after), ("+", after - before)):
             print(f"{case.name} {kind} {table} {sign} {sorted(one)[:3]}"[:600], file=sys.stderr) if one else None
     names = {path for path in same if written.get(path) != files[path]} | (set(written) ^ set(files))
     print(f"{case.name} {kind} files {sorted(names)[:8]}", file=sys.stderr) if names else None
