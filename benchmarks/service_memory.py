@@ -1,11 +1,11 @@
 """Memory and open handles of each service over time, while it is worked hard and abused.
 
-    python benchmarks/service_memory.py SERVICE [--minutes 10]
+    python benchmarks/service_memory.py SERVICE [--minutes 10] [--warm-up 5]
 
 `rest`: requests with a token amid large bodies, half-sent heads, wrong hosts and tokens. `desk`: a browser opens pages
 and drops files. `connect`: verdicts go out by webhook, MQTT and OPC UA, whose receivers fail and restart. `station`:
-units are pressed, and every fifth meets a fault. After a third of the time the rest is cut into blocks; a slope is that
-of the least-squares line through their means, with Student's 95 % interval.
+units are pressed, and every fifth meets a fault. The time after the warm-up is cut into blocks; a slope is that of the
+least-squares line through their means, with Student's 95 % interval.
 """
 
 import argparse
@@ -96,7 +96,7 @@ def slope_per_h(t_s: np.ndarray, values: np.ndarray) -> str:
     return f"{3600 * fit.slope:+.1f} ± {3600 * fit.stderr * t.ppf(0.975, BLOCKS - 2):.1f}"
 
 
-def measure(name: str, process_id: int, folder: Path, minutes: float, steps: tuple[Step, ...]) -> None:
+def measure(name: str, process_id: int, folder: Path, options: argparse.Namespace, steps: tuple[Step, ...]) -> None:
     """Do each step again and again in a thread of its own, and print what became of the service."""
     is_over, done = threading.Event(), [0] * len(steps)
 
@@ -111,7 +111,7 @@ def measure(name: str, process_id: int, folder: Path, minutes: float, steps: tup
     with Sampler(process_id, folder) as sampler:
         for thread in threads:
             thread.start()
-        end_s = time.monotonic() + 60 * minutes
+        end_s = time.monotonic() + 60 * (options.warm_up + options.minutes)
         while time.monotonic() < end_s:
             steps[0](done[0])
             done[0] += 1
@@ -119,13 +119,15 @@ def measure(name: str, process_id: int, folder: Path, minutes: float, steps: tup
     for thread in threads:
         thread.join()
     rows = np.array(sampler.rows)
-    late = rows[rows[:, 0] > rows[-1, 0] / 3]
+    late = rows[rows[:, 0] > 60 * options.warm_up]
     course = [(late[0, k], late[-1, k], slope_per_h(late[:, 0], late[:, k])) for k in (1, 2)]
     head = "service | minutes | work done | samples | memory, MB | per h (95 %) | handles | per h (95 %) | files left"
     (first_MB, last_MB, grows_MB), (first, last, grows) = course
     cells = (f"{first_MB:.1f} to {last_MB:.1f}", grows_MB, f"{first:.0f} to {last:.0f}", grows)
     work = " + ".join(map(str, done))
-    print_table(head, [(name, f"{minutes:g}", work, len(late), *cells, f"{late[0, 3]:.0f} to {late[-1, 3]:.0f}")])
+    print_table(
+        head, [(name, f"{options.minutes:g}", work, len(late), *cells, f"{late[0, 3]:.0f} to {late[-1, 3]:.0f}")]
+    )
 
 
 @contextmanager
@@ -183,7 +185,7 @@ def rest(options: argparse.Namespace) -> None:
 
         with running(["api", "serve", "--port", str(port)], folder) as process_id:
             wait_for(port)
-            measure("REST", process_id, folder / "own", options.minutes, (ask, abuse, abuse))
+            measure("REST", process_id, folder / "own", options, (ask, abuse, abuse))
 
 
 def _ask(port: int, method: str, path: str, body: bytes = b"", **headers: str) -> None:
@@ -236,7 +238,7 @@ def desk(options: argparse.Namespace) -> None:
                         page.get_by_text(f"U{number}.csv").first.wait_for(timeout=60_000)
                 context.close()
 
-            measure("desk", process_id, folder / "own", options.minutes, (visit,))
+            measure("desk", process_id, folder / "own", options, (visit,))
 
 
 class _Receiver(BaseHTTPRequestHandler):
@@ -288,7 +290,7 @@ def connect(options: argparse.Namespace) -> None:
 
         with running(["connect", "run", str(file)], folder) as process_id:
             wait_for(opcua)
-            measure("connect", process_id, folder / "own", options.minutes, (judge, read, restart))
+            measure("connect", process_id, folder / "own", options, (judge, read, restart))
         brokers[0].terminate()
         hook.shutdown()
 
@@ -324,7 +326,7 @@ def station(options: argparse.Namespace) -> None:
             while registry.order_queue.heartbeat(STATION) is None:
                 time.sleep(0.2)
             order(OrderKind.SOURCE, "S0")
-            measure("station", process_id, folder / "own", options.minutes, (press,))
+            measure("station", process_id, folder / "own", options, (press,))
         codes = [progress.code for _, progress in registry.order_queue.runs(STATION, 10_000)]
         print(f"{len(codes)} runs; ended with a code: {len(codes) - codes.count('')}.")
 
@@ -347,6 +349,7 @@ def main() -> None:
     for work in (rest, desk, connect, station):
         parser = commands.add(work)
         parser.add_argument("--minutes", type=float, default=10.0)
+        parser.add_argument("--warm-up", type=float, default=5.0, help="minutes before (default 5)")
     commands.run()
 
 

@@ -1,18 +1,18 @@
-"""Where dropped recordings lie: one folder of this server, gone when it ends, and at the latest at the next start."""
+"""Where dropped recordings lie until their tab ends: one folder of this server, gone at its next start at the latest."""
 
 import os
 import shutil
 import socket
-import tempfile
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from softcal.app.bootstrap import data_folder, is_alive
 
 
-def new_upload_folder() -> Path:
-    """Make a folder for what one tab drops; only who runs this server can read it."""
-    return Path(tempfile.mkdtemp(dir=server_folder()))
+def new_upload_folder() -> TemporaryDirectory[str]:
+    """Make a folder for what one tab drops, gone with the tab; only who runs this server can read it."""
+    return TemporaryDirectory(dir=server_folder(), ignore_cleanup_errors=True)
 
 
 @cache

@@ -1,11 +1,14 @@
 """A sign-in in a browser: its cookie is for the server alone, and what was dropped is gone with the server."""
 
+import gc
 import http.client
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page
+
+from softcal.app.ui.uploads import new_upload_folder
 
 pytestmark = pytest.mark.long
 
@@ -78,3 +81,13 @@ def test_dropped_recordings_lie_in_one_folder_that_goes_with_the_server(screen, 
         screen.start()
         assert left() == []
         sign_in(screen.address, "engineer")
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_dropped_recording_is_gone_with_its_tab(own_data):
+    folder = new_upload_folder()
+    recording = Path(folder.name) / "U1.csv"
+    recording.write_text("t_s,output\n")
+    del folder
+    gc.collect()
+    assert not recording.parent.exists()

@@ -1,7 +1,6 @@
 """Files that a browser drops: kept for this tab, read once, mapped to columns."""
 
 import re
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,8 +43,8 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
         return []
     # A default would be made at every run, whether it is needed or not.
     if _folder(field) not in st.session_state:
-        st.session_state[_folder(field)] = str(new_upload_folder())
-    folder = Path(st.session_state[_folder(field)])
+        st.session_state[_folder(field)] = new_upload_folder()
+    folder = Path(st.session_state[_folder(field)].name)
     folder.mkdir(exist_ok=True)
     paths: dict[str, Path] = {}
     for file in dropped:
@@ -63,7 +62,8 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
 
 def forget_files(field: str = NEW_LOT) -> None:
     """Remove what was dropped; it is kept elsewhere now."""
-    shutil.rmtree(st.session_state.pop(_folder(field), ""), ignore_errors=True)
+    if (folder := st.session_state.pop(_folder(field), None)) is not None:
+        folder.cleanup()
     st.session_state[f"{field}-forgotten"] = st.session_state.get(f"{field}-forgotten", 0) + 1
 
 
