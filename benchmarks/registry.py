@@ -170,7 +170,7 @@ def redecided(kind: str, units: int) -> Row:
         begun_s = time.process_time()
         change_limit(registry, "bench", 0.05, reason="a benchmark")
         taken_s, more_MB = time.process_time() - begun_s, peak_MB() - before_MB
-        changes = compare_verdicts("bench", before, read_verdicts(registry, "bench"))
+        changes = compare_verdicts(registry, "bench", before)
     return kind, len(before), taken_s, reading_s, more_MB, len(changes.changed)
 
 

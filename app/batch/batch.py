@@ -88,7 +88,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, hook: 
     release = decide_lot(registry, lot_id, actor)
     audit = update_lot(registry, lot_id, actor)
     redecide_dependent_lots(registry, lot_id, actor)
-    changes = compare_verdicts(lot_id, before, read_verdicts(registry, lot_id))
+    changes = compare_verdicts(registry, lot_id, before)
     units = tuple(work.unit_results(list(folder.unit_paths)).values())
     read += sorted(work.files, key=lambda file: file.path)
     names = {file.path: file.path.relative_to(folder.root).as_posix() for file in read}

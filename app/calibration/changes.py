@@ -85,7 +85,7 @@ def carry_out(registry: Registry, lot_id: str, act: Callable[[], object]) -> Cha
     before, lots = read_verdicts(registry, lot_id), list_affected_lots(registry, lot_id)
     old = set(list_recalls(registry, lots))
     act()
-    changes = compare_verdicts(lot_id, before, read_verdicts(registry, lot_id))
+    changes = compare_verdicts(registry, lot_id, before)
     return replace(changes, recalled=tuple(one for one in list_recalls(registry, lots) if one not in old))
 
 
@@ -113,17 +113,13 @@ def preview_limit(registry: Registry, lot_id: str, rmse: float | None) -> Change
     return preview(registry, lot_id, partial(change_limit, registry, lot_id, rmse, reason="preview"))
 
 
-Verdicts = dict[tuple[str, str], tuple[str, Reason]]
+Verdicts = dict[tuple[str, str], str]
 
 
 def read_verdicts(registry: Registry, lot_id: str) -> Verdicts:
-    """Return the verdict and its first reason of every unit that an act on the lot may reach, by lot and serial."""
-    units = [unit for lot in list_affected_lots(registry, lot_id) for unit in registry.lots.units(lot)]
-    return {
-        (unit.lot_id, unit.serial): (unit.verdict, unit.reasons[0])
-        for unit in units
-        if unit.role == "target" and unit.verdict is not None and unit.reasons
-    }
+    """Return the verdict of every unit that an act on the lot may reach, by lot and serial."""
+    lots = list_affected_lots(registry, lot_id)
+    return {(lot, serial): verdict for lot in lots for serial, verdict in registry.pages.verdicts(lot).items()}
 
 
 def list_affected_lots(registry: Registry, lot_id: str) -> list[str]:
@@ -132,13 +128,16 @@ def list_affected_lots(registry: Registry, lot_id: str) -> list[str]:
     return sorted({lot_id, *(lot.id for lot in registry.lots.all() if model and lot.sensor_model == model)})
 
 
-def compare_verdicts(lot_id: str, before: Verdicts, after: Verdicts) -> Changes:
+def compare_verdicts(registry: Registry, lot_id: str, before: Verdicts) -> Changes:
     """Return what changed of units that had a verdict before."""
+    after = read_verdicts(registry, lot_id)
+    keys = {key for key, verdict in after.items() if before.get(key, verdict) != verdict}
+    units = [unit for lot in {lot for lot, _ in keys} for unit in registry.lots.units(lot)]
     changed = [
-        VerdictChange(*key, before[key][0], verdict, reason)
-        for key, (verdict, reason) in after.items()
-        if key in before and before[key][0] != verdict
+        VerdictChange(*key, before[key], after[key], unit.reasons[0])
+        for unit in units
+        if (key := (unit.lot_id, unit.serial)) in keys and unit.reasons
     ]
-    verdicts: Sequence[str] = [verdict for (lot, _), (verdict, _) in after.items() if lot == lot_id]
+    verdicts: Sequence[str] = [verdict for (lot, _), verdict in after.items() if lot == lot_id]
     ordered = sorted(changed, key=lambda one: (one.verdict != Verdict.PASS, one.lot_id, one.serial))
     return Changes(tuple(ordered), {str(word): verdicts.count(word) for word in VERDICTS})

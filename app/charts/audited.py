@@ -10,7 +10,7 @@ from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import apply_style, dots, level_line
 from softcal.app.texts.reasons import Translator
 from softcal.app.views.audited import AuditedView
-from softcal.app.views.common import number, thinning_slice
+from softcal.app.views.common import limit_number, thinning_slice
 
 POINTS = 400
 """Dots of one unit; more cost the browser and show nothing."""
@@ -28,7 +28,7 @@ def estimate_over_reference(view: AuditedView, colours: Palette, translate: Tran
     line = {"color": colours.text, "width": 1.5}
     figure.add_scatter(x=diagonal, y=diagonal, mode="lines", line=line, name=translate("chart.equal"))
     if limit := view.limit_rmse:
-        limit_style = {"name": translate("chart.limit.both", limit=number(limit, unit, limit)), "legendgroup": "l"}
+        limit_style = {"name": translate("chart.limit.both", limit=limit_number(limit, unit)), "legendgroup": "l"}
         dashed = {"color": colours.limit, "width": 1.5, "dash": "dash"}
         for shift in (limit, -limit):
             figure.add_scatter(
@@ -57,7 +57,7 @@ def error_over_load(view: AuditedView, colours: Palette, translate: Translator) 
             hovertemplate=f"{one.serial}: %{{y:.3g}} {unit}<extra></extra>",
         )
     if view.limit_rmse is not None:
-        label = translate("chart.limit.named", limit=number(view.limit_rmse, unit, view.limit_rmse))
+        label = translate("chart.limit.named", limit=limit_number(view.limit_rmse, unit))
         level_line(figure, view.limit_rmse, colours.limit, label, dash="dash")
     figure.update_yaxes(rangemode="tozero")
     return apply_style(figure, colours, f"{view.lot.reference_quantity} [{unit}]", f"RMSE [{unit}]")

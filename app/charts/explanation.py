@@ -16,7 +16,7 @@ from softcal.app.files.atomic import write_text
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Translator, render_reason, translate_phrase
 from softcal.app.views.audited import AuditTrace
-from softcal.app.views.common import number, thinning_slice
+from softcal.app.views.common import limit_number, number, thinning_slice
 from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
@@ -91,7 +91,7 @@ def _draw_measurement(
     diagonal = np.array([audit.reference.min(), audit.reference.max()])
     x = np.concatenate([diagonal, diagonal[::-1]])
     band = {"fill": "toself", "fillcolor": colours.band, "line": {"width": 0}, "mode": "lines", "hoverinfo": "skip"}
-    name = translate("chart.limit.both", limit=number(limit, unit, limit))
+    name = translate("chart.limit.both", limit=limit_number(limit, unit))
     figure.add_scatter(x=x, y=np.concatenate([diagonal + limit, (diagonal - limit)[::-1]]), name=name, **band, **FIRST)
     dots(figure, audit.reference[at], audit.estimate[at], colours.mapped, translate("chart.estimate"), 3, **FIRST)
     _titled(figure, FIRST, f"{translate('chart.reference')}: {load}", f"{translate('chart.estimate')} [{unit}]")
@@ -144,7 +144,7 @@ def _draw_forecast(figure: go.Figure, view: UnitView, colours: Palette, translat
     name = translate("column.predicted")
     dots(figure, [forecast.rmse], [name], colours.mapped, name, 12, symbol="diamond", error_x=spread, **FIRST)
     figure.add_vline(limit, line={"color": colours.limit, "width": 2}, **FIRST)
-    _key(figure, FIRST, translate("chart.limit.named", limit=number(limit, unit, limit)), colours.limit, "solid")
+    _key(figure, FIRST, translate("chart.limit.named", limit=limit_number(limit, unit)), colours.limit, "solid")
     _titled(figure, FIRST, f"{translate('chart.error')} [{unit}]", "")
     # Room behind the last of them, so that the line of the limit stands inside.
     figure.update_xaxes(range=[0.0, 1.05 * max(forecast.upper, limit)], **FIRST)

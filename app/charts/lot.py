@@ -11,8 +11,8 @@ import plotly.graph_objects as go
 from softcal.app.charts import style
 from softcal.app.charts.palette import VERDICT_HATCH, VERDICT_INK, VERDICT_MARK, Palette
 from softcal.app.texts.reasons import Translator, render_plain_reason
-from softcal.app.views.common import axis_end
-from softcal.app.views.lot import LotView, ProcessView
+from softcal.app.views.common import axis_end, number
+from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import FROM_FILE, YieldAt
 from softcal.core.quality.control_chart import MAX_FAR_SHARE
 
@@ -25,13 +25,6 @@ MAX_SIGMA = 8.0
 """So far from the centre a control chart is drawn."""
 
 LEVEL_COLOURS = ("limit", "text", "limit")
-
-
-def lot_picture(name: str, view: LotView, colours: Palette, translate: Translator) -> go.Figure:
-    """Return a picture of the report by its name: errors, process or reasons."""
-    if name == "process":
-        return control_chart_figure(view.process, view.lot.reference_unit, colours, translate)
-    return {"errors": predicted_errors, "reasons": reasons_pareto}[name](view, colours, translate)
 
 
 def predicted_errors(view: LotView, colours: Palette, translate: Translator) -> go.Figure:
@@ -60,13 +53,15 @@ def predicted_errors(view: LotView, colours: Palette, translate: Translator) -> 
     title, beyond = f"{translate('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
     if beyond:
         # Over the bars it would meet the line of the limit where the figure is narrow.
-        text = translate("chart.beyond", count=beyond, value=f"{top:.3g} {view.lot.reference_unit}")
+        value = number(top, view.lot.reference_unit, view.limit_rmse)
+        text = translate("chart.beyond", count=beyond, value=value)
         title = f"{title} · {text}"
     return style.apply_style(figure, colours, title, translate("chart.count"))
 
 
-def control_chart_figure(process: ProcessView, unit: str, colours: Palette, translate: Translator) -> go.Figure:
+def control_chart_figure(view: LotView, colours: Palette, translate: Translator) -> go.Figure:
     """Draw the errors of the newest accepted units on a log scale; where a rule is broken first stands out."""
+    process, unit, limit = view.process, view.lot.reference_unit, view.limit_rmse
     first = max(0, len(process.errors) - MAX_VALUES)
     at, values, names = np.arange(len(process.errors)) + 1, process.errors, process.serials
     figure = go.Figure()
@@ -77,7 +72,8 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
     if np.mean(clipped != values) > MAX_FAR_SHARE:
         clipped = values
     line, marker = {"color": colours.source, "width": 1}, {"color": colours.source, "size": 5}
-    hover = f"%{{text}}: %{{customdata:.3g}} {unit}<extra></extra>"
+    texts = [number(value, unit, limit) for value in values]
+    hover = "%{text}: %{customdata}<extra></extra>"
     trace_style = {
         "text": names[first:],
         "mode": "lines+markers",
@@ -85,7 +81,7 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
         "marker": marker,
         "hovertemplate": hover,
     }
-    figure.add_scatter(x=at[first:], y=clipped[first:], customdata=values[first:], **trace_style)
+    figure.add_scatter(x=at[first:], y=clipped[first:], customdata=texts[first:], **trace_style)
     for k in np.flatnonzero(clipped != values).tolist():
         if k >= first:
             mark = "↑" if values[k] > clipped[k] else "↓"
@@ -97,7 +93,9 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
                 "showarrow": False,
             }
             figure.add_annotation(
-                text=f"{values[k]:.3g} {mark}", font={"color": colours.limit, "size": 12}, **note_position
+                text=f"{number(values[k], limit=limit)} {mark}",
+                font={"color": colours.limit, "size": 12},
+                **note_position,
             )
     rules: dict[int, list[str]] = {}
     for broken in process.broken:
@@ -112,7 +110,9 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, tran
         figure.add_hline(level, line={"color": ink, "width": 1.5, "dash": dash})
         # Plotly takes a note's height on such an axis as its logarithm.
         note_position = {"x": 1.0, "xref": "paper", "xanchor": "right", "y": math.log10(level), "yanchor": "bottom"}
-        figure.add_annotation(text=f"{level:.3g}", font={"color": ink, "size": 12}, showarrow=False, **note_position)
+        figure.add_annotation(
+            text=number(level, limit=limit), font={"color": ink, "size": 12}, showarrow=False, **note_position
+        )
     style.apply_style(figure, colours, translate("chart.order"), f"{translate('column.predicted')} [{unit}]")
     # Of a decade and less every step of it is written, else 1, 2 and 5; without a format Plotly writes 0.06 as 6.
     step = "D1" if clipped.max() < 10 * clipped.min() else "D2"
@@ -171,3 +171,7 @@ def yield_figure(groups: Sequence[YieldAt], title: str, colours: Palette, transl
     figure.update_xaxes(type="category").update_yaxes(range=[0, 104], dtick=20)
     style.apply_style(figure, colours, title, f"{translate('lot.first_pass')} [%]")
     return figure.update_layout(showlegend=False, margin_t=20)
+
+
+PICTURES = {"errors": predicted_errors, "process": control_chart_figure, "reasons": reasons_pareto}
+"""Of the report of a lot, by name."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 
-from softcal.app.charts.lot import lot_picture
+from softcal.app.charts.lot import PICTURES
 from softcal.app.charts.page import document, section, table
 from softcal.app.charts.palette import LIGHT
 from softcal.app.paper.drawing import svg
@@ -26,7 +26,7 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], translate: Translator, c
     sections = [head]
     for part in report_parts(view, units, translate("lot.table"), translate):
         if part.picture:
-            content = svg(lot_picture(part.picture, view, LIGHT, translate))
+            content = svg(PICTURES[part.picture](view, LIGHT, translate))
         else:
             content = table(part.header, ([escape(cell) for cell in row] for row in part.rows))
         sections.append(section(part.title, content))

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
-from softcal.app.charts.lot import lot_picture
+from softcal.app.charts.lot import PICTURES
 from softcal.app.charts.palette import LIGHT
 from softcal.app.export.certificates import parts
 from softcal.app.paper.drawing import fit_drawing
@@ -46,7 +46,7 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str, made_at: da
     for part in report_parts(view, bad.units, listed, translate):
         flowable: Flowable
         if part.picture and not part.rows:
-            flowable = fit_drawing(lot_picture(part.picture, view, LIGHT, translate), parts.WIDTH)
+            flowable = fit_drawing(PICTURES[part.picture](view, LIGHT, translate), parts.WIDTH)
         else:
             cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
             widths = [parts.WIDTH * share for share in part.shares]

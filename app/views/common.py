@@ -5,7 +5,7 @@ from collections.abc import Sized
 import numpy as np
 
 from softcal.app.texts.reasons import Translator, translate_phrase
-from softcal.core.messages.figures import decimals_of_limit
+from softcal.core.messages.figures import format_error, format_limit
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import Limit
 
@@ -14,21 +14,23 @@ POINTS = 4000
 
 
 def number(value: float | None, unit: str = "", limit: float | None = None) -> str:
-    """Return a number with three significant digits and its unit; a dash where there is none.
-
-    Beside a limit it has the decimals of the limit, so that all errors of a lot have as many.
-    """
+    """Return a number with three significant digits, beside a limit as an error, and its unit; a dash for none."""
     if value is None:
         return "–"
-    text = f"{value:.3g}" if limit is None else f"{value:.{decimals_of_limit(limit)}f}"
+    text = f"{value:.3g}" if limit is None else format_error(value, limit)
     return f"{text} {unit}".strip()
+
+
+def limit_number(limit: float | None, unit: str) -> str:
+    """Return a limit as it was stated and its unit; a dash for none."""
+    return "–" if limit is None else f"{format_limit(limit)} {unit}"
 
 
 def render_limit(limit: Limit | None, translate: Translator) -> str:
     """Return a lot's limit with its unit; one that nobody stated says so."""
     if limit is None:
         return translate("lot.limit.none")
-    text = number(limit.maximum_rmse, limit.unit, limit.maximum_rmse)
+    text = limit_number(limit.maximum_rmse, limit.unit)
     return text if limit.is_stated else translate("lot.limit.derived", limit=text)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from softcal.app.line.status import LineRun, LineStatus, unit_statuses_of
 from softcal.app.texts.reasons import Translator, render_plain_reason, render_reason
-from softcal.app.views.common import number
+from softcal.app.views.common import limit_number, number
 from softcal.core.messages.reason import Reason, root_of
 from softcal.core.orders import OrderKind, RunState
 from softcal.core.quality.known_loads import KnownLoad, requested_loads
@@ -182,7 +182,7 @@ def _describe_error(card: Card) -> tuple[str, ...]:
         return card.changed
     unit, limit = line.lot.lot.reference_unit, line.lot.lot.limit_rmse
     key = f"line.result{kind}" if limit is None else f"line.result{kind}.limit"
-    return (card.translate(key, rmse=number(rmse, unit, limit), limit=number(limit, unit, limit)), *card.changed)
+    return (card.translate(key, rmse=number(rmse, unit, limit), limit=limit_number(limit, unit)), *card.changed)
 
 
 @dataclass(frozen=True)

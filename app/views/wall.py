@@ -8,7 +8,7 @@ from softcal.app.bootstrap import is_alive
 from softcal.app.line.status import state_of
 from softcal.app.texts.reasons import Translator
 from softcal.app.views.alerts import Alert
-from softcal.app.views.common import number, percent
+from softcal.app.views.common import limit_number, number, percent
 from softcal.app.views.line import Chip
 from softcal.app.views.line_states import STATES
 from softcal.app.views.lot import LotView
@@ -66,9 +66,7 @@ def wall_view(
         (
             translate("lot.predicted"),
             number(view.median_predicted, view.lot.reference_unit, limit),
-            ""
-            if limit is None
-            else translate("chart.limit.named", limit=number(limit, view.lot.reference_unit, limit)),
+            "" if limit is None else translate("chart.limit.named", limit=limit_number(limit, view.lot.reference_unit)),
         ),
     )
     verdicts = tuple(

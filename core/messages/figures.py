@@ -1,6 +1,7 @@
 """How papers write numbers: an uncertainty with two significant digits, a value with as many decimals (GUM 7.2.6)."""
 
 from collections.abc import Mapping, Sequence
+from decimal import Decimal
 from math import floor, isfinite, log10
 
 MAX_DECIMALS = 9
@@ -17,8 +18,21 @@ def decimals_of(uncertainty: float) -> int:
 
 
 def decimals_of_limit(limit: float) -> int:
-    """Return how many decimals a limit has with three significant digits; all errors beside it have as many."""
-    return max(0, 2 - floor(log10(limit))) if isfinite(limit) and limit > 0 else 3
+    """Return how many decimals errors have beside a limit: those of its third digit or, if more, of all stated."""
+    if not (isfinite(limit) and limit > 0):
+        return 3
+    return max(0, 2 - floor(log10(limit)), len(format_limit(limit).partition(".")[2]))
+
+
+def format_limit(limit: float) -> str:
+    """Return a limit in the digits it was stated with; one of more than ten was computed, and has three."""
+    text = f"{limit:.10g}"
+    return f"{Decimal(text if float(text) == limit else f'{limit:.3g}'):f}"
+
+
+def format_error(error: float, limit: float) -> str:
+    """Return an error beside a limit: all errors of a lot have as many decimals."""
+    return f"{error:.{decimals_of_limit(limit)}f}"
 
 
 def with_decimals(value: float, decimals: int) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Union
 
-from softcal.core.messages.figures import decimals_of_limit
+from softcal.core.messages.figures import format_error, format_limit
 from softcal.core.messages.gap_sentences import GAP_SENTENCES
 from softcal.core.messages.rig_sentences import SENTENCES
 from softcal.core.messages.sentences import UNIT_SENTENCES
@@ -27,8 +27,9 @@ PLAIN = "plain"
 ENGLISH: dict[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
 """One sentence a code, values in braces; a value that is a reason is a phrase of its own."""
 
-BESIDE_LIMIT = ("rmse", "lower", "upper", "error", "day", "judged", "limit")
-"""Values of a sentence in the unit of its `limit`."""
+LIMITS = ("limit", "judged")
+BESIDE_LIMIT = ("rmse", "lower", "upper", "error", "day")
+"""Values of a sentence in the unit of its `limit`: limits, and errors."""
 
 _LOADERS: list[Callable[[], object]] = []
 
@@ -112,12 +113,12 @@ class _Filler(Formatter):
 
 
 def fill_sentence(sentence: str, values: Mapping[str, object]) -> str:
-    """Return a sentence with its values filled in; errors beside a limit have its decimals, as everywhere."""
-    limit = values.get("limit")
-    if isinstance(limit, float):
-        errors = {name: values[name] for name in BESIDE_LIMIT if name in values and not isinstance(values[name], str)}
-        values = {**values, **{name: f"{value:.{decimals_of_limit(limit)}f}" for name, value in errors.items()}}
-    return _Filler().vformat(sentence, (), values)
+    """Return a sentence with its values filled in; a limit and errors beside it are written as everywhere."""
+    numbers = {name: value for name, value in values.items() if isinstance(value, float)}
+    texts = {name: format_limit(numbers[name]) for name in LIMITS if name in numbers}
+    if "limit" in numbers:
+        texts |= {name: format_error(numbers[name], numbers["limit"]) for name in BESIDE_LIMIT if name in numbers}
+    return _Filler().vformat(sentence, (), {**values, **texts})
 
 
 def reason(code: str, /, **values: Value) -> Reason:

@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 
 from softcal.core.errors import InputError
+from softcal.core.messages.figures import format_limit
 from softcal.core.quality.acceptance import failing_share
 from softcal.core.unit.verdict import Limit
 
@@ -109,7 +110,7 @@ def evaluate_audit(
     ratios = [measured[serial] / forecasts[serial] for serial in plan.serials]
     ratio = float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
     max_nonconforming, unchecked = upper - random_failed, plan.population - len(plan.random)
-    bound = f"{limit.maximum_rmse:.3g} {limit.unit}"
+    bound = f"{format_limit(limit.maximum_rmse)} {limit.unit}"
     text = f"units checked: {len(plan.serials)}, of these beyond {bound}: {len(failed)}; " + (
         f"accepted units not checked: {unchecked}, of these beyond it: {max_nonconforming} at most (95 % confidence)"
         if unchecked

@@ -185,6 +185,14 @@ class LotPages(RegistryBase):
             counts = {str(v or "none"): int(n) for v, n in self.database.tuples(query, statuses.values)}
         return {name: counts.get(name, 0) for name in (*_severities(), "none")}
 
+    def verdicts(self, lot_id: str) -> dict[str, str]:
+        """Return the verdict of every target unit of a lot that has one, by serial."""
+        with self.database.reading():
+            self._lot_row(lot_id)
+            statuses = StatusQuery(self.database, lot_id, role="target")
+            query = select(statuses.table.c.serial, statuses.table.c.verdict)
+            return {serial: verdict for serial, verdict in self.database.tuples(query, statuses.values) if verdict}
+
     def audited_count(self, lot_id: str) -> int:
         """Return how many target units of a lot have an error that was measured, and an audit that is not set aside."""
         with self.database.reading():

@@ -70,7 +70,7 @@ def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk() -> None:
         str(FACTS.decided.statement),
         say("paper.given"),
         "EG <3 mm>",
-        "0.500 N",
+        "0.5 N",
         drawn,
         promise,
         "SERIAL-00019",

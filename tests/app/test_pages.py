@@ -1,16 +1,20 @@
 """Seven pages: every address answers, a page that needs a role asks for it, a text in the bar finds what it names."""
 
+import re
 from dataclasses import replace
 from datetime import UTC, date, datetime
+from functools import partial
 
 import pytest
 
 from softcal.app.calibration.audit import draw_plan, lot_audit
+from softcal.app.calibration.changes import change_limit
 from softcal.app.calibration.release import outline_lot, read_lot_status
 from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.ui.pages import PAGES, REDIRECTS, page_of, redirect
 from softcal.app.views.common import number
 from softcal.app.views.lot import lot_view
+from softcal.app.views.lot_report import report_values
 from softcal.app.views.lots import lot_list, proposed_lot_id
 from softcal.app.views.next_step import next_step
 from softcal.app.views.search import search
@@ -174,7 +178,8 @@ def test_a_release_says_what_it_would_change_before_its_button(calibrated: str, 
 @pytest.mark.parametrize(
     ("value", "limit", "shown"),
     [
-        (0.2, 0.2, "0.200 N"),
+        (0.2001, 0.2, "0.200 N"),
+        (0.12341, 0.1234, "0.1234 N"),
         (0.7514, 0.2, "0.751 N"),
         (0.0671, 0.3, "0.067 N"),
         (12.3456, 20.0, "12.3 N"),
@@ -185,3 +190,23 @@ def test_a_release_says_what_it_would_change_before_its_button(calibrated: str, 
 )
 def test_errors_of_a_lot_have_the_decimals_of_its_limit(value, limit, shown) -> None:
     assert number(value, "N", limit) == shown
+
+
+@pytest.mark.parametrize("stated", ["0.3", "0.25", "0.3125", "2"])
+def test_every_tab_of_a_lot_and_a_unit_writes_its_limit_as_stated_and_errors_alike(
+    calibrated: str, show, stated: str
+) -> None:
+    with open_registry(calibrated) as registry:
+        change_limit(registry, "small", float(stated), reason="drawing C", actor="test")
+        written = report_values(lot_view(registry, "small"), partial(text, "en"))
+    said, places = (
+        [*written.values()],
+        max(len(stated.partition(".")[2]), 3 - len(stated.partition(".")[0].lstrip("0"))),
+    )
+    for page, tab in [page for page in TABS if page[0] in ("lot", "unit")]:
+        screen = show(calibrated, page, tab=tab, lot="small", unit="small/A1", role="engineer")
+        said += [metric.value for metric in screen.metric]
+        said += [one.value for kind in (screen.markdown, screen.caption, screen.info) for one in kind]
+    quantities = [number for line in said for number in re.findall(r"([\d.]+) N\b", line)]
+    assert stated in quantities
+    assert {len(number.partition(".")[2]) for number in quantities if number != stated} == {places}

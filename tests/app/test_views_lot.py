@@ -87,10 +87,16 @@ def test_reasons_are_counted_by_what_they_say_and_not_by_their_numbers(language:
     assert len(set(labels)) == 3 and not any(letter.isdigit() for label in labels for letter in label)
 
 
+def control_chart(values, colours):
+    view = SimpleNamespace(
+        process=process_view(runs_of(values), 0.12), limit_rmse=0.12, lot=SimpleNamespace(reference_unit="N")
+    )
+    return charts_lot.control_chart_figure(view, colours, lambda key, **_: key)
+
+
 @pytest.mark.parametrize("colours", [LIGHT, DARK])
 def test_limit_lines_are_seen_on_either_ground(rng, colours) -> None:
-    process = process_view(runs_of(0.08 + 0.002 * rng.normal(size=400)), 0.12)
-    figure = charts_lot.control_chart_figure(process, "N", colours, lambda key, **_: key)
+    figure = control_chart(0.08 + 0.002 * rng.normal(size=400), colours)
     assert {shape.line.color for shape in figure.layout.shapes} == {colours.text, colours.limit}
     assert len(figure.data[0].x) == charts_lot.MAX_VALUES
 
@@ -98,12 +104,11 @@ def test_limit_lines_are_seen_on_either_ground(rng, colours) -> None:
 def test_one_value_far_out_does_not_flatten_the_others_and_is_read_as_it_is(rng) -> None:
     values = 0.08 + 0.002 * rng.normal(size=40)
     values[20] = 8.0
-    process = process_view(runs_of(values), 0.12)
-    figure = charts_lot.control_chart_figure(process, "N", LIGHT, lambda key, **_: key)
+    figure = control_chart(values, LIGHT)
     drawn, usual = np.array(figure.data[0].y), np.delete(values, 20)
     assert np.ptp(np.log(usual)) > 0.2 * np.ptp(np.log(drawn))
-    assert figure.data[0].customdata[20] == pytest.approx(8.0)
-    assert any("8 " in note.text for note in figure.layout.annotations)
+    assert figure.data[0].customdata[20] == "8.000 N"
+    assert any("8.000 " in note.text for note in figure.layout.annotations)
 
 
 def errors_drawn(errors: dict[str, list[float]], limit: float | None):

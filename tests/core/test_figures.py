@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softcal.core.messages.figures import find_decimals, format_uncertainty, format_value, with_decimals
+from softcal.core.messages.figures import (
+    find_decimals,
+    format_error,
+    format_limit,
+    format_uncertainty,
+    format_value,
+    with_decimals,
+)
+from softcal.core.messages.reason import Reason, reason
 
 
 @given(st.floats(1e-6, 1e6))
@@ -45,3 +53,41 @@ def test_rounding_never_turns_a_comparison_around(value: float, apart: float, de
     if abs(apart) > 1e-8:
         assert (shown["upper"] <= shown["limit"]) == (values["upper"] <= values["limit"])
     assert found >= decimals
+
+
+STATED = st.builds(lambda digits, power: Decimal(digits).scaleb(power), st.integers(1, 99_999), st.integers(-7, 1))
+"""Limits as a person writes them."""
+
+
+@given(STATED)
+def test_a_limit_is_written_in_the_digits_it_was_stated_with(stated: Decimal) -> None:
+    shown = format_limit(float(stated))
+    assert Decimal(shown) == stated and "e" not in shown.lower()
+    assert not ("." in shown and shown.endswith("0"))
+
+
+@given(st.floats(1e-4, 1e4))
+def test_a_limit_that_was_computed_has_three_digits(factor: float) -> None:
+    shown = format_limit(factor / 7.0)
+    assert float(shown) == pytest.approx(factor / 7.0, rel=0.0051)
+    assert len(shown.replace(".", "").strip("0")) <= 10
+
+
+@given(STATED, st.floats(0.01, 100.0))
+def test_errors_beside_a_limit_have_as_many_decimals_as_it_at_least(stated: Decimal, times: float) -> None:
+    limit, places = float(stated), {}
+    for error in (limit, times * limit, 0.0):
+        shown = format_error(error, limit)
+        places[len(shown.partition(".")[2])] = error
+        assert float(shown) == pytest.approx(error, abs=0.0051 * limit)
+    assert len(places) == 1 and min(places) >= len(format_limit(limit).partition(".")[2])
+
+
+@given(STATED, st.floats(0.1, 10.0))
+def test_a_sentence_writes_limit_and_errors_by_the_same_rule(stated: Decimal, times: float) -> None:
+    limit = float(stated)
+    numbers = {name: times * limit for name in ("rmse", "lower", "upper")}
+    phrases = {"source": "part.predicted", "relation": "part.within", "origin": "part.stated"}
+    said = reason("statement", limit=limit, unit="N", **numbers, **{k: Reason(v) for k, v in phrases.items()})
+    assert f"limit {format_limit(limit)} N" in str(said)
+    assert f"RMSE {format_error(times * limit, limit)} N" in str(said)

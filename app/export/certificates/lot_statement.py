@@ -16,6 +16,7 @@ from softcal.app.paper.fonts import BOLD, marked_up, printable_serial
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Translator, render_reason
 from softcal.core.lot import Lot
+from softcal.core.messages.figures import format_error
 from softcal.core.quality.lot_release import LotRelease, any_form
 from softcal.core.quality.lot_status import Disposition, LotStatus
 from softcal.db.provenance import Provenance
@@ -136,8 +137,8 @@ def _audit_table(statement: LotStatement, render: Translator) -> Flowable:
     rows = [[render(f"paper.column.{name}", unit=limit.unit) for name in names]]
     for a in audits[:MAX_AUDITS]:
         word = render("paper.within" if a.measured_rmse <= limit.maximum_rmse else "paper.beyond")
-        numbers = f"{a.forecast_rmse:.3g}", f"{a.measured_rmse:.3g}", f"{a.ratio:.2f}"
-        rows.append([printable_serial(a.serial), a.lot_id or statement.lot.id, *numbers, word])
+        errors = (format_error(value, limit.maximum_rmse) for value in (a.forecast_rmse, a.measured_rmse))
+        rows.append([printable_serial(a.serial), a.lot_id or statement.lot.id, *errors, f"{a.ratio:.2f}", word])
     if len(audits) > MAX_AUDITS:
         rows.append([render("paper.more", count=len(audits) - MAX_AUDITS), *[""] * 5])
     return parts.text_table(rows, [parts.WIDTH / 6] * 6, 7)

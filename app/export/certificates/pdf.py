@@ -18,7 +18,7 @@ from softcal.app.export.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.paper.drawing import fit_drawing
 from softcal.app.paper.fonts import BOLD, printable_serial, writable
 from softcal.core.lot import escape_serial
-from softcal.core.messages.figures import format_uncertainty, format_value, with_decimals
+from softcal.core.messages.figures import format_limit, format_uncertainty, format_value, with_decimals
 from softcal.core.unit.uncertainty import ErrorForecast
 
 CURVE, BAND = "#0b5cad", "#bcd6f2"
@@ -173,10 +173,8 @@ def _render_number(certificate: Certificate, name: str, value: float | None) -> 
     if value is None:
         return NOT_STATED
     symbol, unit = name.partition(":")[0], certificate.lot.reference_unit
-    # A limit is agreed, not measured: it stands as it was stated.
-    is_stated = symbol == "TL" and certificate.limit is not None and certificate.limit.is_stated
-    if is_stated:
-        return f"{value:.10g} {unit}"
+    if symbol == "TL" and certificate.limit is not None and certificate.limit.is_stated:
+        return f"{format_limit(value)} {unit}"
     text = format_uncertainty(value) if symbol == "U_ref" else with_decimals(value, certificate.decimals)
     return f"{text} {unit}"
 

@@ -15,7 +15,7 @@ from softcal.app.ui.components.verdict_changes import draw_changes
 from softcal.app.ui.panels import figure_under, headline, rest_may_follow, table
 from softcal.app.ui.presentation import colours, format_instant, translate
 from softcal.app.ui.server_cache import cached_limit_changes, cached_lot_view, registry
-from softcal.app.views.common import number, render_limit
+from softcal.app.views.common import limit_number, render_limit
 from softcal.core.lot import Lot
 from softcal.core.quality.known_loads import MAX_LOADS, KnownLoad
 from softcal.core.quality.line_rules import LETTERS, LineRules
@@ -44,7 +44,9 @@ def draw_limits(lot_id: str) -> None:
         )
         new_limit = st.number_input(label, 0.0, None, default, step, "%.4g", key, disabled=is_automatic)
         rmse = None if is_automatic else new_limit
-        label = translate("limits.withdraw") if rmse is None else translate("limits.set", limit=f"{rmse:g} {unit}")
+        label = (
+            translate("limits.withdraw") if rmse is None else translate("limits.set", limit=limit_number(rmse, unit))
+        )
         # By the very decision that would be made; the limit in force changes nothing.
         is_other = rmse not in (0, view.lot.limit_rmse)
         changes = cached_limit_changes(lot_id, rmse) if allows("set_limit") and is_other else None
@@ -61,7 +63,7 @@ def draw_limits(lot_id: str) -> None:
             with show_refusals():
                 change_limit(registry(), lot_id, rmse, reason=reason, actor=actor(), expected_version=version)
                 withdraw_recalled_files(registry(), list_affected_lots(registry(), lot_id))
-                finish("limit", translate("limits.done", limit=automatic if rmse is None else f"{rmse:g}"))
+                finish("limit", translate("limits.done", limit=automatic if rmse is None else limit_number(rmse, unit)))
     if not rest_may_follow():
         return
     with right:
@@ -70,7 +72,7 @@ def draw_limits(lot_id: str) -> None:
         draw_changes(changes.changed)
     st.header(translate("limits.versions"))
     rows = [
-        _row(entry, {translate("lot.limit"): number(entry.rmse, unit, entry.rmse) if entry.rmse else automatic})
+        _row(entry, {translate("lot.limit"): limit_number(entry.rmse, unit) if entry.rmse else automatic})
         for entry in reversed(versions)
     ]
     table(rows, translate("limits.none"))

@@ -1,9 +1,11 @@
 """The shared networks of a lot: train one, release one, compare them and the map families."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import streamlit as st
 
+from softcal.app.registry.limit import limit_or_none
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, finish, role_allows, show_finished, show_refusals
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
@@ -23,13 +25,12 @@ from softcal.db.repositories.networks import RELEASED
 
 def draw_networks(lot_id: str) -> None:
     lot = registry().lots.get(lot_id)
+    error = _error_format(lot)
     rows = network_rows(registry(), lot.id)
     if rows:
         # Which network is in use and how well it was trained, in one sentence.
         in_use = next((row for row in rows if row.is_in_use), None)
-        values = (
-            {"network": in_use.id[:12], "error": number(in_use.validation_rmse, lot.reference_unit)} if in_use else {}
-        )
+        values = {"network": in_use.id[:12], "error": error(in_use.validation_rmse)} if in_use else {}
         headline(translate("networks.headline" if in_use else "networks.none_in_use", count=len(rows), **values))
     else:
         empty("networks.none")
@@ -47,7 +48,7 @@ def draw_networks(lot_id: str) -> None:
                 translate("networks.hidden"): row.layers,
                 translate("networks.members"): row.members,
                 translate("networks.seed"): row.seed,
-                translate("networks.validation"): number(row.validation_rmse, lot.reference_unit),
+                translate("networks.validation"): error(row.validation_rmse),
                 translate("networks.epochs"): row.epochs,
                 translate("networks.train_s"): number(row.train_s, "s"),
                 translate("column.remark"): translate("networks.stale") if row.is_stale else "",
@@ -69,9 +70,8 @@ def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
         translate("networks.release.how", network=in_use.id[:12]) if in_use else translate("networks.release.none")
     )
     show_finished("network")
-    names = {
-        row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, lot.reference_unit)}" for row in rows
-    }
+    error = _error_format(lot)
+    names = {row.id: f"{row.id[:12]} · {row.layers} · {error(row.validation_rmse)}" for row in rows}
     chosen = st.selectbox(
         translate("column.network"), list(names), format_func=names.__getitem__, key=f"release-{lot.id}"
     )
@@ -175,7 +175,7 @@ def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
             st.warning(translate("networks.compare.choose"), icon=":material/edit:")
     if job is None or not job_panel(job):
         return
-    unit, compared = lot.reference_unit, job.result["rows"]
+    error = _error_format(lot)
     table(
         {
             translate("column.network"): row["network"][:12],
@@ -183,11 +183,17 @@ def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
             translate("lot.units"): row["units"],
             translate("verdict.pass"): row["passed"],
             translate("networks.refused"): row["refused"],
-            translate("column.predicted"): number(row["predicted"], unit),
+            translate("column.predicted"): error(row["predicted"]),
             translate("lot.audited"): row["audited"],
-            translate("column.before"): number(row["before"], unit),
-            translate("column.after"): number(row["after"], unit),
-            translate("networks.after_95"): number(row["after_95"], unit),
+            translate("column.before"): error(row["before"]),
+            translate("column.after"): error(row["after"]),
+            translate("networks.after_95"): error(row["after_95"]),
         }
-        for row in compared
+        for row in job.result["rows"]
     )
+
+
+def _error_format(lot: Lot) -> Callable[[float | None], str]:
+    """Return how errors of a lot are written: with its unit and the decimals of its limit."""
+    limit = limit_or_none(registry(), lot.id)
+    return partial(number, unit=lot.reference_unit, limit=limit and limit.maximum_rmse)

@@ -14,7 +14,7 @@ from softcal.app.ui.panels import go_to, headline, numbers, rest_may_follow, sho
 from softcal.app.ui.presentation import colours, current_translator, language, localize, translate, zone
 from softcal.app.ui.server_cache import cached_lot_view, cached_next_step, registry
 from softcal.app.views.alerts import alerts
-from softcal.app.views.common import number, percent
+from softcal.app.views.common import limit_number, number, percent
 from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import FROM_FILE, LotFilter
 
@@ -91,7 +91,7 @@ def _tiles(view: LotView) -> None:
                 number(view.median_predicted, unit, view.limit_rmse),
                 translate("lot.predicted.help"),
             ),
-            (limit, number(view.limit_rmse, unit, view.limit_rmse), translate("lot.limit.help")),
+            (limit, limit_number(view.limit_rmse, unit), translate("lot.limit.help")),
             scored if ratio is None else compared,
         )
     )

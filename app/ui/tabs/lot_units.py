@@ -65,7 +65,7 @@ def _process(view: LotView) -> None:
         st.header(translate("lot.process"))
         st.caption(localize(process.refusal or ""))
     else:
-        figure = charts_lot.control_chart_figure(process, view.lot.reference_unit, colours(), translate)
+        figure = charts_lot.control_chart_figure(view, colours(), translate)
         figure_under("lot.process", figure, "control-chart")
     left, right = st.columns(2)
     with right:
