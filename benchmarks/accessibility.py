@@ -12,6 +12,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urlencode
 
 from common.command import parser_of
 from common.desk_pictures import (
@@ -31,9 +32,12 @@ from common.screens import THEMES, chromium, served
 from common.tables import print_table
 from playwright.sync_api import Browser, Page, ViewportSize
 
+from softcal.db.connection import open_registry
+
 HEIGHTS = {820: 1180, 1280: 800, 1920: 1080}
 """Of a window by its width, in pixels."""
 
+People = tuple[tuple[str, str, dict[str, str]], ...]
 TALLEST_PX = 6000
 RUN = "axe.run(document).then((found) => found.violations.map((one) => `${one.id} (${one.nodes.length})`))"
 WIDER = "document.documentElement.scrollWidth - innerWidth"
@@ -47,7 +51,6 @@ MORE = {
     **{f"unit-{tab}": f"{UNIT}&tab={tab}" for tab in ("recording", "files", "history", "compare")},
     "laboratory": "settings?tab=laboratory",
 }
-PEOPLE = ((NAME, PIN, PAGES | MORE), (QUALITY, QUALITY_PIN, PAGES_OF_QUALITY), ("", "", {"sign-in": "settings"}))
 
 
 def main() -> None:
@@ -61,10 +64,15 @@ def main() -> None:
         os.environ["XDG_DATA_HOME"] = root
         url = os.environ["SOFTCAL_REGISTRY"] = f"sqlite:///{Path(root) / 'registry.db'}"
         fill(url, Path(root))
+        people = (
+            (NAME, PIN, PAGES | MORE | diagnosis(url)),
+            (QUALITY, QUALITY_PIN, PAGES_OF_QUALITY),
+            ("", "", {"sign-in": "settings"}),
+        )
         with served(url) as (address, _), station_served(url), chromium() as browser:
             found: dict[str, tuple[set[str], list[int]]] = {}
             asked = options.axe.read_text(), options.widths, options.out
-            for name, broken, wider in looks(browser, address, *asked):
+            for name, broken, wider in looks(browser, address, people, *asked):
                 rules, widths = found.setdefault(name, (set(), []))
                 rules.update(broken)
                 widths.append(wider)
@@ -72,13 +80,20 @@ def main() -> None:
     print_table(head, ((n, len(w), ", ".join(sorted(r)) or "none", max(w)) for n, (r, w) in found.items()))
 
 
+def diagnosis(url: str) -> dict[str, str]:
+    """Return the address of the diagnosis that the desk was filled with."""
+    with open_registry(url) as registry:
+        (job,) = registry.job_board.jobs("diagnose")
+    return {"gap-diagnosis": f"gap?{urlencode({'case': job.request['case'], 'job': job.job_id})}"}
+
+
 def looks(
-    browser: Browser, address: str, axe: str, widths: list[int], out: Path | None
+    browser: Browser, address: str, people: People, axe: str, widths: list[int], out: Path | None
 ) -> Iterator[tuple[str, list[str], int]]:
     """Give for every look at a page its name, the broken rules, and how far it is wider than its window."""
     for theme in THEMES:
         for width, height in ((width, HEIGHTS[width]) for width in widths):
-            for name, pin, pages in PEOPLE:
+            for name, pin, pages in people:
                 size = ViewportSize(width=width, height=height)
                 context = browser.new_context(viewport=size, color_scheme=theme, bypass_csp=True)
                 page = context.new_page()

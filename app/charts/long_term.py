@@ -6,9 +6,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import apply_theme, axis_titles, dots
+from softcal.app.charts.style import apply_theme, axis_titles, dots, level_line
 from softcal.app.texts.reasons import Translator
-from softcal.app.views.common import thinning_slice
+from softcal.app.views.common import limit_number, thinning_slice
 from softcal.app.views.long_term import Course, Trace
 
 EVENTS = (("held", "x"), ("tried", "triangle-up"), ("jumped", "diamond"))
@@ -70,6 +70,9 @@ def course_figure(course: Course, colours: Palette, translate: Translator, trace
     )
     title = f"{translate('lot.predicted')} [{course.reference_unit}]"
     line(rows, times, course.column("predicted_rmse")[at], colours.mapped, title)
+    if (limit := course.limit_rmse) is not None:
+        text = translate("chart.limit.named", limit=limit_number(limit, course.reference_unit))
+        level_line(figure, limit, colours.limit, text, row=rows, dash="dash")
     mark(rows, "alarm", "alarm", "predicted_rmse", "alarm", colours.limit, "triangle-up")
     axis_titles(figure, rows, title, translate(time_title))
     figure.update_yaxes(rangemode="tozero", row=rows, col=1)

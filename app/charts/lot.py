@@ -42,7 +42,7 @@ def predicted_errors(view: LotView, colours: Palette, translate: Translator) -> 
                 "pattern": {"shape": hatch, "solidity": 0.2, "fillmode": "overlay", "fgcolor": VERDICT_INK},
             }
             figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker=look)
-    figure.update_layout(barmode="stack")
+    figure.update_layout(barmode="stack", showlegend=True)
     style.integer_ticks(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.
     figure.update_xaxes(range=[0.0, top + edges[1]], dtick=style.nice_step(top), tick0=0)
@@ -114,9 +114,8 @@ def control_chart_figure(view: LotView, colours: Palette, translate: Translator)
             text=number(level, limit=limit), font={"color": ink, "size": 12}, showarrow=False, **note_position
         )
     style.apply_style(figure, colours, translate("chart.order"), f"{translate('column.predicted')} [{unit}]")
-    # Of a decade and less every step of it is written, else 1, 2 and 5; without a format Plotly writes 0.06 as 6.
-    step = "D1" if clipped.max() < 10 * clipped.min() else "D2"
-    figure.update_yaxes(type="log", dtick=step, tickformat=".3~g")
+    ticks = style.log_ticks(clipped.min(), clipped.max())
+    figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{tick:.3g}" for tick in ticks])
     return figure.update_layout(showlegend=False, margin_t=20)
 
 

@@ -40,7 +40,7 @@ def apply_theme(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go
         font={"family": FONTS, "color": colours.text, "size": 13},
         hoverlabel={"bgcolor": colours.grid, "font_color": colours.text},
         # Above the figure, not so far above the bars: where its names wrap they would come to lie over these.
-        legend={"orientation": "h", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0},
+        legend={"orientation": "h", "itemsizing": "constant", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0},
     )
 
 
@@ -84,6 +84,15 @@ def nice_step(span: float) -> float:
     """Return 1, 2 or 5 times a power of ten, so that about `TICK_STEPS` make the span."""
     power = 10.0 ** math.floor(math.log10(span / TICK_STEPS))
     return next(step * power for step in (1, 2, 5, 10) if step * power * TICK_STEPS >= span)
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Return ticks of a logarithmic axis: 1, 2 and 5 of every decade, of less than a decade even steps."""
+    if high < 10 * low:
+        step = nice_step(high - low)
+        return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
+    return [k * 10.0**power for power in powers for k in (1, 2, 5)]
 
 
 def integer_ticks(figure: go.Figure, max_count: float) -> None:

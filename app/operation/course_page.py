@@ -15,8 +15,8 @@ from softcal.app.views.long_term import Course
 
 def write_course_page(path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
     """Write drift, map, estimate and predicted error over time as one page."""
-    units, steps = (report.lot.output_unit, report.lot.reference_unit), tuple(s for s in maps if s["t_s"] is not None)
-    course = Course(report.serial, report.stream, steps, *units)
+    lot, steps = report.lot, tuple(s for s in maps if s["t_s"] is not None)
+    course = Course(report.serial, report.stream, steps, lot.output_unit, lot.reference_unit, lot.limit_rmse)
     figure = course_figure(course, LIGHT, partial(text, "en"), report.trace)
     figure.update_layout(title={"text": f"{report.serial}, stream {report.stream}", "x": 0.99, "xanchor": "right"})
     write_text(path, figure.to_html(include_plotlyjs=True))

@@ -74,10 +74,9 @@ class _Axis:
         """Return values worth a mark, with what stands beside them."""
         if self.names:
             return [(name, name) for name in self.names]
-        if self.is_log:
-            every = range(1, 10) if self.high - self.low < 1 else (1, 2, 5)
-            steps = [k * 10.0**power for power in range(-12, 13) for k in every]
-            return [(v, f"{v:g}") for v in steps if self.low <= np.log10(v) <= self.high]
+        if look.tickvals is not None:
+            ticks = zip(look.tickvals, look.ticktext, strict=True)
+            return [(v, text) for v, text in ticks if self.start <= self.at(v) <= self.end]
         step = 10.0 ** np.floor(np.log10((self.high - self.low) / 4.0))
         step *= next(k for k in (1.0, 2.0, 5.0, 10.0) if (self.high - self.low) / (k * step) <= 6.0)
         step = max(step, 1.0) if look.tickformat == "d" else step

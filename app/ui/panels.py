@@ -30,8 +30,10 @@ MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
 LINK_TEXT = "#(.*)$"
 NO_BREAK = "\u00a0"
-CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 1.2rem; padding-bottom: 1rem }"
-"""The bar of pages needs less room above the title than Streamlit leaves, and nothing stands below a page."""
+CLOSER = """[data-testid=stMainBlockContainer] { padding-top: 1.2rem; padding-bottom: 1rem }
+[data-testid=stMetric] { padding: 0.6rem 1rem }"""
+"""The bar of pages needs less room above the title than Streamlit leaves, nothing stands below a page, and numbers are
+as tall as they are, so that a lot with its alerts stands on one screen."""
 
 
 def heading(page: str, title: str = "") -> Any:

@@ -26,12 +26,12 @@ class Alert:
 
 def alerts(registry: Registry, view: LotView, now: datetime) -> tuple[Alert, ...]:
     """Return what should be looked at now, the urgent first."""
-    result = [*lot_alerts(view), *plant_alerts(registry, now)]
+    result = [*lot_alerts(view), *plant_alerts(registry, now, view.lot.id)]
     return tuple(sorted(result, key=lambda alert: not alert.is_urgent))
 
 
-def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
-    """Return what should be looked at now, whichever lot is made."""
+def plant_alerts(registry: Registry, now: datetime, lot_id: str | None = None) -> list[Alert]:
+    """Return what should be looked at now, whichever lot is made; of units in use those of one lot, or all."""
     result = []
     # Of each station the newest check with a golden unit counts.
     golden = {run.station: run for run in sorted(registry.stations.golden_runs(), key=lambda run: run.made_at)}
@@ -51,7 +51,8 @@ def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
             result.append(Alert("certificate_over", dict(values), True))
         elif remaining <= DUE_WITHIN:
             result.append(Alert("certificate_due", {**values, "days": remaining.days}))
-    due = [str(unit.key) for unit in registry.adaptations.units() if unit.entry.get("alarm")]
+    followed = [unit for unit in registry.adaptations.units() if lot_id in (None, unit.key.lot_id)]
+    due = [str(unit.key) for unit in followed if unit.entry.get("alarm")]
     if due:
         result.append(Alert("units_due", {"count": len(due), "first": due[0]}))
     return result

@@ -16,13 +16,14 @@ MAX_ROWS = 6000
 
 @dataclass(frozen=True)
 class Course:
-    """The steps of one stream of one unit, in time order, with the units of its lot."""
+    """The steps of one stream of one unit, in time order, with the units and the stated limit of its lot."""
 
     serial: str
     stream: str
     steps: tuple[Mapping[str, Any], ...]
     output_unit: str
     reference_unit: str
+    limit_rmse: float | None = None
 
     @property
     def alarm(self) -> str:
@@ -74,4 +75,4 @@ def course(registry: Registry, unit: UnitKey, stream: str) -> Course:
     steps: Sequence[Mapping[str, Any]] = registry.adaptations.all(unit, stream)
     observed = tuple(step for step in steps if step.get("t_s") is not None)
     lot = registry.lots.get(unit.lot_id)
-    return Course(unit.serial, stream, observed, lot.output_unit, lot.reference_unit)
+    return Course(unit.serial, stream, observed, lot.output_unit, lot.reference_unit, lot.limit_rmse)

@@ -59,7 +59,7 @@ class ProcessView:
     Args:
         serials: (n,) one per value of the chart.
         broken: rules that points break, the forbidding ones first.
-        capability: of the errors of all units against the lot's limit.
+        capability: of log10 of the errors of all units against that of the lot's limit.
         refusal: why there is no chart or no capability.
     """
 
@@ -231,7 +231,10 @@ def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:
 
 
 def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessView:
-    """Return the control chart of accepted units and the capability of all, of runs in time order."""
+    """Return the control chart of accepted units and the capability of all, of runs in time order.
+
+    What is not stable in the chart has no capability, for the reason that the chart shows.
+    """
     every = [run for run in runs if run.predicted_rmse]
     accepted = [run for run in every if run.verdict in ACCEPTED]
     serials = tuple(run.serial for run in accepted)
@@ -247,7 +250,8 @@ def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessV
         starts = tuple(k for k in at if k - 1 not in at)
         broken.append(RuleBroken(rule, len(starts), serials[max(at)], rule in FORBIDDING, starts))
     try:
-        errors = control_chart(np.array([run.predicted_rmse for run in every]))
-        return ProcessView(serials, chart, tuple(broken), capability(errors, None, limit_rmse), None)
+        errors = control_chart(np.log10([run.predicted_rmse or 0.0 for run in every])) if chart.is_stable else chart
+        limit = None if limit_rmse is None else float(np.log10(limit_rmse))
+        return ProcessView(serials, chart, tuple(broken), capability(errors, None, limit), None)
     except InputError as error:
         return ProcessView(serials, chart, tuple(broken), None, error.reason)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.messages.figures import decimals_of, with_decimals
 from softcal.core.messages.reason import Reason
 from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart, control_chart
-from softcal.core.recording import LabelledRecording
+from softcal.core.recording import Array, LabelledRecording
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
 
@@ -48,9 +49,15 @@ def source_values(source: LabelledRecording) -> Mapping[str, str]:
     return {
         "column.duration": f"{len(output) / source.unlabelled.sample_rate_Hz:.0f} s",
         "source.samples": f"{len(output)}",
-        "source.reach": f"{reference.min():.2g} … {reference.max():.2g} {source.reference_unit}",
-        "source.swing": f"{output.min():.4g} … {output.max():.4g} {source.unlabelled.output_unit}",
+        "source.reach": f"{_span(reference)} {source.reference_unit}",
+        "source.swing": f"{_span(output)} {source.unlabelled.output_unit}",
     }
+
+
+def _span(values: Array) -> str:
+    """Return least and largest value, with the decimals of the larger one's third digit."""
+    ends = float(values.min()), float(values.max())
+    return " … ".join(with_decimals(value, decimals_of(max(map(abs, ends))) + 1) for value in ends)
 
 
 @dataclass(frozen=True)

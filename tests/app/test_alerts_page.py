@@ -34,7 +34,8 @@ def found(
         adaptations=SimpleNamespace(units=lambda: list(adapted)),
         order_queue=SimpleNamespace(stations=lambda: list(beats)),
     )
-    return list(alerts(registry, SimpleNamespace(process=process, drop=drop, withdrawn=withdrawn), NOW))  # type: ignore[arg-type]
+    view = SimpleNamespace(lot=SimpleNamespace(id="small"), process=process, drop=drop, withdrawn=withdrawn)
+    return list(alerts(registry, view, NOW))  # type: ignore[arg-type]
 
 
 def test_a_drop_of_the_yield_is_told_and_chance_is_not() -> None:
@@ -84,6 +85,11 @@ def test_drift_and_units_that_need_a_reference_are_told_and_the_urgent_come_firs
     told = found(process=broken, drop=drop, adapted=adapted)
     assert [alert.kind for alert in told] == ["yield", "process", "units_due"]
     assert told[2].values == {"count": 1, "first": "small/A7"}
+
+
+def test_a_unit_in_use_that_needs_a_reference_is_told_at_its_own_lot() -> None:
+    other = SimpleNamespace(key=UnitKey("large", "A7"), entry={"alarm": "moved"})
+    assert found(adapted=[other]) == []
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

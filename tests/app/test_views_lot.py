@@ -11,6 +11,7 @@ import pytest
 from softcal.app.charts import lot as charts_lot
 from softcal.app.charts.compare import errors_of_lots
 from softcal.app.charts.palette import DARK, LIGHT
+from softcal.app.charts.style import log_ticks
 from softcal.app.charts.unit import output_distributions
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import render_plain_reason
@@ -33,14 +34,17 @@ def test_a_stable_process_has_a_capability() -> None:
     values = 0.08 + 0.004 * np.tile([-1.0, 0.4, 1.1, -0.6, 0.2, -0.9, 0.8], 6)
     process = process_view(runs_of(values), 0.12)
     assert process.capability is not None and process.refusal is None
-    sigma = np.abs(np.diff(values)).mean() / 1.128
-    assert process.capability.cpk == pytest.approx((0.12 - values.mean()) / (3 * sigma), rel=1e-6)
+    logs = np.log10(values)
+    sigma = np.abs(np.diff(logs)).mean() / 1.128
+    assert process.capability.cpk == pytest.approx((np.log10(0.12) - logs.mean()) / (3 * sigma), rel=1e-6)
 
 
 def test_an_unstable_process_has_none_and_names_the_rule_and_the_unit(rng) -> None:
     values = np.r_[0.08 + 0.002 * rng.normal(size=40), 0.2]
     process = process_view(runs_of(values), 0.12)
     assert process.capability is None and process.refusal is not None and process.refusal.code == "chart.unstable"
+    # What refuses it is a rule that the chart shows.
+    assert process.refusal.values["rule"] in [Reason(f"chart.rule.{one.rule}") for one in process.broken]
     beyond = next(broken for broken in process.broken if broken.rule == 1)
     assert (beyond.last, beyond.forbids) == ("U040", True)
 
@@ -109,6 +113,12 @@ def test_one_value_far_out_does_not_flatten_the_others_and_is_read_as_it_is(rng)
     assert np.ptp(np.log(usual)) > 0.2 * np.ptp(np.log(drawn))
     assert figure.data[0].customdata[20] == "8.000 N"
     assert any("8.000 " in note.text for note in figure.layout.annotations)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.05, 0.06), (0.0475, 0.0655), (0.02, 0.3), (0.001, 5.0)])
+def test_an_axis_of_logarithms_has_marks_enough_to_read_it(low: float, high: float) -> None:
+    ticks = [tick for tick in log_ticks(low, high) if low <= tick <= high]
+    assert 3 <= len(ticks) <= 12 and ticks == sorted(set(ticks))
 
 
 def errors_drawn(errors: dict[str, list[float]], limit: float | None):
