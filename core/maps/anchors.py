@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.config import AnchorConfig, MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
-from softcal.core.metrics import rms, rmse
+from softcal.core.metrics import rms
 from softcal.core.recording import Array, Arrays, LabelledRecording
 from softcal.core.windows import TAPS, resting
 
@@ -58,51 +59,52 @@ class Anchoring:
 def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) -> Anchoring:
     """Correct gain and level of a map so that the unit under a known load looks like the source under it.
 
-    Minimises sum ((offset + gain x_k - y_k) / sigma_k)^2 + (dgain / s_gain)^2 + (dlevel / s_level)^2: x_k is what the
+    Minimises sum ((x_k - y_0 - a - e^b (y_k - y_0)) / sigma_k)^2 + (a / s_level)^2 + (b / s_gain)^2: x_k is what the
     map makes of the output at rest under load k, y_k and sigma_k are level and spread of the source's own visits to
-    that load, s_gain and s_level how far the map may be off before any load is seen. One anchor moves what it can see,
-    several fix both numbers. The gain turns about the source's rest level: both numbers would else be strongly
-    correlated.
+    that load, y_0 is its level at rest, s_level and s_gain are how far the map may be off before any load is seen. What
+    was read is regressed on what is known, and the line inverted: y = y_0 + (x - y_0 - a) e^-b. So a load at zero moves
+    the level alone, however far the map is off there, and several fix both numbers.
 
     f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
     any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
-    what f misreads: there f's error is in sigma_k, and the map is left as it is unless the loads contradict it. Of what
-    K loads ask for a part 1 - K / sum z_k^2 is taken, with z_k = (x_k - y_k) / sigma_k: none of what the errors explain
-    (James and Stein 1961, positive part). So loads that were read in motion, whose scatter is that of sigma_k, change
-    little.
+    what f misreads at rest: there that is in sigma_k, and the map is left as it is unless the loads contradict it. Of
+    what K loads ask for a part 1 - K / sum z_k^2 is taken, with z_k = (x_k - y_k) / sigma_k: none of what the errors
+    explain (James and Stein 1961, positive part). So loads that were read in motion, whose scatter is that of sigma_k,
+    change little.
 
     Args:
         kind: how its loads are known: `paired`, `stage`, or empty for anything else (`core/unit/correspondence.py`).
     """
-    config, output = problem.config.anchors, problem.source.unlabelled.output
-    low, high = np.quantile(output, problem.config.crossing.robust_range)
-    rest = float(low if problem.source.direction > 0 else high)
+    config, source = problem.config.anchors, problem.source
+    low, high = np.quantile(source.unlabelled.output, problem.config.crossing.robust_range)
+    rest, _ = source_level(source, float(source.reference.min()), config)
     spreads = {name: (gain, level) for name, gain, level in config.spread}
+    # Pairs pressed with another load than the source's know the gain no better than the output alone does.
     spread, (gain_spread, share) = spreads[""][0], spreads[kind]
     level = share * float(high - low)
-    prior = np.array([gain_spread, level])
     mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
-    expected, sigma = np.array([source_level(problem.source, load, config) for load in anchors.reference]).T
+    expected, sigma = np.array([source_level(source, load, config) for load in anchors.reference]).T
     if kind:
-        # The error of f on its source, carried to the source's output.
-        rows = np.linspace(0, len(problem.source.windows) - 1, problem.config.pairs.pairs // 2).astype(np.int64)
-        read = problem.network.evaluate(problem.source.windows[rows])
-        sigma = np.hypot(sigma, rmse(read, problem.source.window_reference[rows]) * _mean_slope(problem.source))
-    shrinkage = 1.0 - expected.size / max(float(np.sum(((expected - mapped) / sigma) ** 2)), expected.size)
-    # In standard deviations of the prior, whose own residual is then the unknown itself. Pairs pressed with another
-    # load than the source's know the gain no better than the output alone does.
-    design = np.stack([spread * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
-    normal = design.T @ design + np.eye(2)
-    theta = shrinkage * np.linalg.solve(normal, design.T @ ((expected - mapped) / sigma))
-    gain = 1.0 + spread * float(theta[0])
-    offset = float(rest * (1.0 - gain) + level * theta[1])
+        misread = problem.network.evaluate(resting(expected)) - anchors.reference
+        sigma = np.hypot(sigma, misread * _mean_slope(source))
+    shrinkage = 1.0 - expected.size / max(float(np.sum(((mapped - expected) / sigma) ** 2)), expected.size)
+    size, scale = np.array([spread, level]), np.array([gain_spread, level])
+
+    def misses(theta: Array) -> Array:
+        """Return what the loads miss the line by, and the unknowns: in standard deviations, all of them."""
+        log_gain, move = size * theta
+        return np.append((mapped - rest - move - np.exp(log_gain) * (expected - rest)) / sigma, theta)
+
+    solution = scipy.optimize.least_squares(misses, np.zeros(2), method="lm")
+    log_gain, move = shrinkage * size * solution.x
+    gain = float(np.exp(-log_gain))
+    offset = rest - gain * (rest + float(move))
     misfit = rms((offset + gain * mapped - expected) / sigma)
     # Loads that do not fit a gain and an offset know neither better than they fit.
-    # The unknowns were counted where the map was before; errors count where it is now: at rest and about it.
-    now = np.array([[spread / gain, 0.0], [-spread * level * float(theta[1]) / gain, level]])
-    covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
-    error = np.sqrt(shrinkage * np.diag(covariance) + (1.0 - shrinkage) * prior**2)
-    return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), misfit)
+    variance = np.diag(np.linalg.inv(solution.jac.T @ solution.jac)) * max(misfit, 1.0) ** 2
+    # The level counts where the map is now: behind the gain.
+    gain_error, rest_error = np.sqrt(shrinkage * variance * size**2 + (1.0 - shrinkage) * scale**2) * [1.0, gain]
+    return Anchoring(AnchoredMap(unit_map, gain, offset), float(gain_error), float(rest_error), misfit)
 
 
 def _mean_slope(source: LabelledRecording) -> float:

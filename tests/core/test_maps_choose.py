@@ -264,9 +264,9 @@ def test_known_loads_show_a_paired_unit_that_was_pressed_with_another_load(make,
         ("two_point", 0.85, 0.06),
         ("monotone", 0.85, 0.06),
         ("averaged", 0.85, 0.06),
-        # Behind pairs the network's own error of 0.1 N counts beside, and both in twice as much may be by chance.
-        ("synchronous", 0.7, 0.2),
-        ("stage_matched", 0.7, 0.2),
+        # Shapes fitted to noise leave windows at rest not flat, and this network reads one sample of them.
+        ("synchronous", 0.7, 0.13),
+        ("stage_matched", 0.7, 0.13),
     ],
 )
 def test_a_known_load_is_read_to_within_its_uncertainty(linear_network, family, pressed, within_N):
@@ -288,6 +288,44 @@ def test_a_known_load_is_read_to_within_its_uncertainty(linear_network, family, 
     )
     assert abs(before) > 2.5 * within_N
     assert abs(after) < within_N
+
+
+@pytest.mark.parametrize("family", ["identity", "affine", "two_point", "monotone", "averaged", "exact"])
+@pytest.mark.parametrize("moved_V", [-0.15, 0.15])
+def test_a_load_at_zero_moves_the_level_alone(linear_network, press, family, moved_V):
+    """The rest of the unit has moved by half the range since its recording: no gain follows from that."""
+    source, unit = press(1, seconds=40.0), press(2, gain=1.1, seconds=30.0)
+    problem = FitProblem(source, linear_network, unit.unlabelled, config=MapConfig(family))
+    given = replace(problem, anchors=Anchors(np.array([0.5 + moved_V]), np.array([0.0])))
+    moved = replace(unit.unlabelled, output=unit.unlabelled.output + moved_V).windows
+    fits = [choose_map(one) for one in (problem, given)]
+    before, after = (rmse(linear_network.evaluate(one.unit_map.apply(moved)), unit.window_reference) for one in fits)
+    assert float(fits[1].evidence["anchor_gain"]) == pytest.approx(1.0, abs=0.01)
+    assert after < 0.7 * before
+
+
+@pytest.mark.parametrize("load_N", [0.0, 1.0, 2.5])
+@pytest.mark.parametrize("level", [1.0, 3.0])
+def test_one_known_load_harms_no_unit_beyond_its_own_uncertainty(linear_network, press, load_N, level):
+    """Units that differ as far as a map may be off, and three times as far at rest; uncertainties at k = 2."""
+    rng, source, loads = np.random.default_rng(0), press(1), press(2).reference
+    before, after = [], []
+    for _ in range(40):
+        gain, rest_V = float(np.exp(0.3 * rng.normal())), 0.5 + 0.03 * level * rng.normal()
+        unit = LabelledRecording(
+            OutputRecording("T", np.arange(len(loads)) / 50.0, rest_V + 0.1 * gain * loads, 50.0), loads
+        )
+        anchors = Anchors(np.array([rest_V + 0.1 * gain * load_N]), np.array([load_N]))
+        chosen = choose_map(FitProblem(source, linear_network, unit.unlabelled, anchors, MapConfig("identity")))
+        raw, mapped = (
+            rmse(linear_network.evaluate(windows), unit.window_reference)
+            for windows in (unit.windows, chosen.unit_map.apply(unit.windows))
+        )
+        by_gain = float(chosen.evidence["gain_error"]) * np.sqrt(np.mean(loads**2))
+        assert mapped < raw + 2.0 * np.hypot(by_gain, float(chosen.evidence["rest_error"]) / 0.1)
+        before.append(raw)
+        after.append(mapped)
+    assert np.sqrt(np.mean(np.square(after))) < 0.85 * np.sqrt(np.mean(np.square(before)))
 
 
 def test_two_loads_say_how_well_they_fix_gain_and_zero(make):
