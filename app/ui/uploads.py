@@ -1,4 +1,4 @@
-"""Where dropped recordings lie until their tab ends: one folder of this server, gone at its next start at the latest."""
+"""Where dropped recordings lie until their tab ends: one folder of this server, gone at the latest when it starts."""
 
 import os
 import shutil

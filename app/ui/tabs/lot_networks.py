@@ -196,4 +196,4 @@ def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
 def _error_format(lot: Lot) -> Callable[[float | None], str]:
     """Return how errors of a lot are written: with its unit and the decimals of its limit."""
     limit = limit_or_none(registry(), lot.id)
-    return partial(number, unit=lot.reference_unit, limit=limit and limit.maximum_rmse)
+    return partial(number, unit=lot.reference_unit, limit=None if limit is None else limit.maximum_rmse)
