@@ -117,7 +117,7 @@ def _draw_measurement(
 def _draw_forecast(figure: go.Figure, view: UnitView, colours: Palette, translate: Translator) -> None:
     """Draw the parts of the predicted error: they add in quadrature, so that each begins where those before it end."""
     state, unit = view.stored.state, view.lot.reference_unit
-    forecast, limit = state.forecast, state.limit.maximum_rmse
+    forecast, unscaled, limit = state.forecast, state.fit.forecast, state.limit.maximum_rmse
     every = contributions(state.fit)
     rising = np.sort([0.0, *every.values()])
     whole = float(np.hypot.reduce(rising))
@@ -125,9 +125,12 @@ def _draw_forecast(figure: go.Figure, view: UnitView, colours: Palette, translat
     largest = rising[without < MIN_SHARE * limit].max(initial=0.0)
     parts = [(name, value) for name, value in every.items() if value > largest]
     levels = np.sqrt(np.cumsum([value**2 for _, value in parts])) if parts else np.zeros(0)
-    starts = np.concatenate([[0.0], levels[:-1]])
+    starts, ends = np.concatenate([[0.0], levels[:-1]]), levels
+    if forecast.rmse != unscaled.rmse:
+        parts.append(("audits", forecast.rmse - unscaled.rmse))
+        starts, ends = np.append(starts, unscaled.rmse), np.append(ends, forecast.rmse)
     figure.add_bar(
-        x=levels - starts,
+        x=ends - starts,
         base=starts,
         y=[translate_phrase("part", name, translate) for name, _ in parts],
         orientation="h",

@@ -13,6 +13,7 @@ from softcal.app.texts.reasons import Translator, render_reason
 from softcal.app.views.common import percent
 from softcal.app.views.gap import channel_name, effect_name, profile_name, rank_causes, stage_name
 from softcal.app.views.gap_runs import ChannelView, RunView
+from softcal.core.messages.figures import decimals_of, with_decimals
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array, Indices
 
@@ -159,7 +160,7 @@ def ranking_figure(
     names = [effect_name(cause["effect"], translate) for cause in causes]
     chances = [cause["probability"] for cause in causes]
     shades = [colours.mapped if chance >= 0.5 else colours.source for chance in chances]
-    labels = [f"{100 * chance:.0f} %" for chance in chances]
+    labels = [percent(chance) for chance in chances]
     look = {"marker_color": shades, "hovertemplate": "%{y}: %{x:.3f}<extra></extra>"} | LEVEL_BARS
     figure = go.Figure(go.Bar(x=chances, y=names, text=labels, **look))
     figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title=translate("gap.figure.probability"))
@@ -178,9 +179,10 @@ def gain_figure(report: Mapping[str, Any], translate: Translator, colours: Palet
     for row, name in enumerate(channels, start=1):
         gap, (times, unit) = report["gap"][name], unit_of(name)
         values = [times * gap[key] for key in RESIDUALS]
+        decimals = decimals_of(min(values)) + 1
         names, value_texts = (
             [translate(f"gap.figure.{of}") for of in PREDICTIONS],
-            [f"{value:.3g} {unit}" for value in values],
+            [f"{with_decimals(value, decimals)} {unit}" for value in values],
         )
         shades = [colours.source, colours.mapped, colours.line]
         figure.add_bar(x=values, y=names, text=value_texts, marker_color=shades, **LEVEL_BARS, row=row, col=1)

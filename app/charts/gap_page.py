@@ -12,6 +12,7 @@ from softcal.app.charts.page import document, section, table
 from softcal.app.paper.drawing import svg
 from softcal.app.texts.reasons import Translator
 from softcal.app.views import gap
+from softcal.app.views.common import percent
 from softcal.app.views.gap_runs import RunView
 
 MAX_CAUSES = 10
@@ -122,11 +123,11 @@ def _calibration_text(report: Mapping[str, Any], translate: Translator) -> str:
 
 def _residual_parts(residual: Mapping[str, Any], report: Mapping[str, Any], translate: Translator) -> tuple[str, str]:
     """Describe what no cause explains by its empirical terms, where they hold on runs held back."""
-    explained_fractions = {name: _percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
+    explained_fractions = {name: percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
     texts = [_markup(translate, "gap.left.is", **explained_fractions)]
     if residual["beside"]:
         causes = _effects(residual["beside"], translate)
-        texts.append(_markup(translate, "gap.left.beside", causes=causes, without=_percent(residual["without"])))
+        texts.append(_markup(translate, "gap.left.beside", causes=causes, without=percent(residual["without"])))
     if "load_N" in residual:
         span = {name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}
         texts.append(_markup(translate, "gap.left.span", **span))
@@ -174,7 +175,7 @@ def _header(report: Mapping[str, Any], serial: str, translate: Translator) -> st
         f"<p class='lead'>{_markup(translate, 'gap.page.causes', causes=causes)}</p>" if causes else "",
     ]
     if partial := report.get("partial"):
-        effects, share = _effects(partial["effects"], translate), _percent(partial["share"])
+        effects, share = _effects(partial["effects"], translate), percent(partial["share"])
         lines.append(_note(_markup(translate, "gap.partial", causes=effects, share=share)))
     # What was taken off every run before it was compared, at most; nothing shows as 0.
     offsets = (_simulator_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), translate)
@@ -220,20 +221,16 @@ def _simulator_offsets(offsets: Sequence[Mapping[str, Any]], translate: Translat
     return [f"{channel}: {translate(f'gap.own.{kind}')} {size:.3g}" for channel, kind, size in items]
 
 
-def _percent(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:.0f} %"
-
-
 def _gain_text(report: Mapping[str, Any], translate: Translator) -> str:
-    explained_fractions = report["shrink"]
+    explained_fractions = gap.explained_fractions(report)
     if explained_fractions.get("predicted") is None:
         return f"<p>{_markup(translate, 'gap.gain.none')}</p>"
     interval = translate(
-        "gap.range", low=_percent(explained_fractions.get("low")), high=_percent(explained_fractions.get("high"))
+        "gap.range", low=percent(explained_fractions.get("low")), high=percent(explained_fractions.get("high"))
     )
-    texts = [_markup(translate, "gap.gain.is", predicted=_percent(explained_fractions["predicted"]), range=interval)]
+    texts = [_markup(translate, "gap.gain.is", predicted=percent(explained_fractions["predicted"]), range=interval)]
     if explained_fractions.get("held_out") is not None:
-        texts.append(_markup(translate, "gap.gain.held_out", held_out=_percent(explained_fractions["held_out"])))
+        texts.append(_markup(translate, "gap.gain.held_out", held_out=percent(explained_fractions["held_out"])))
     if len(parts := explained_fractions.get("chosen", [])) > 0:
         same = sum(causes == max(parts, key=parts.count) for causes in parts)
         texts.append(_markup(translate, "gap.gain.chosen", same=str(same), parts=str(len(parts))))

@@ -129,7 +129,8 @@ def reasons_pareto(view: LotView, colours: Palette, translate: Translator) -> go
     labels = [f"{count:.0f}  ({share:.0%})" for count, share in zip(counts, running, strict=True)]
     figure = go.Figure(go.Bar(x=counts, y=names, text=labels, marker_color=colours.source, **style.LEVEL_BARS))
     figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, style.nice_step(counts.max())))
+    end = 2.2 * counts.max()
+    figure.update_xaxes(range=[0, end], tickformat="d", dtick=max(1, style.nice_step(end)))
     height = max(style.HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))
     return style.apply_style(figure, colours, translate("chart.count_running"), "", height).update_layout(
         showlegend=False

@@ -8,6 +8,7 @@ from typing import Any
 
 from softcal.app.texts.reasons import Translator
 from softcal.app.views.common import percent
+from softcal.core.messages.figures import format_limit
 from softcal.db.entries import ROLES, AuditRow
 from softcal.db.repositories.lots import parse_rules
 
@@ -33,6 +34,8 @@ FIELDS = (
     "decided_by sensor_model source rig account purpose ends_at is_withdrawn"
 ).split()
 """What of a row is said; everything else is for who asks for the row itself."""
+
+LIMITS = ("rmse", "limit_rmse")
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,8 @@ def _render_value(name: str, value: object, translate: Translator) -> str:
         return translate(f"verdict.{value}")
     if name == "role" and value in ROLES:
         return translate(f"role.{value}")
+    if isinstance(value, float) and name in LIMITS:
+        return format_limit(value)
     if isinstance(value, float):
         return percent(value) if name == "share" else f"{value:.4g}"
     if isinstance(value, dict):

@@ -37,6 +37,11 @@ def unidentifiable_lines(report: Report, translate: Translator) -> list[str]:
     return [render_reason(Reason.parse(one), translate) for one in identifiability["untold"]]
 
 
+def explained_fractions(report: Report) -> Mapping[str, Any]:
+    """Return how far the causes explain the gap; nothing where there is no gap, or no diagnosis of one."""
+    return {} if report["verdict"] == "no_gap" else report.get("shrink", {})
+
+
 def plain_name(identifier: str) -> str:
     """Return an identifier of the catalogue as words."""
     return identifier.replace("_", " ")

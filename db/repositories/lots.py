@@ -86,8 +86,9 @@ class LotTables(RegistryBase):
     def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
         """Return every result of a lot's units, or of one of them, in time order.
 
-        One press is one result, with the newest verdict on its recording: an audit of other units, or a batch, may
-        decide anew on it. The last of a unit is as the unit stands now. Rollbacks are left out.
+        One press is one result, with its first forecast and the newest verdict on its recording: an audit of other
+        units, or a batch, may decide anew on it, and scales the forecasts of units that nobody measured. The last of a
+        unit is as the unit stands now. Rollbacks are left out.
         """
         c, r = calibrations.c, refusals.c
         columns = (c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse, c.recording_sha256)
@@ -104,7 +105,8 @@ class LotTables(RegistryBase):
         presses: dict[object, dict[str, Any]] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
-            presses[press] = row | {"made_at": presses.get(press, row)["made_at"]}
+            first = presses.get(press, row)
+            presses[press] = row | {name: first.get(name) for name in ("made_at", "predicted_rmse")}
         last = {row["serial"]: key for key, row in presses.items()}
         for name, key in last.items():
             if (verdict := units[name].verdict) is not None:

@@ -150,6 +150,11 @@ def test_a_row_that_nobody_foresaw_is_shown_and_not_lost() -> None:
     assert "bake" in entry.action_text and "sponge" in entry.action_text and entry.section == "registry"
 
 
+def test_a_limit_stands_in_the_trail_as_it_was_stated() -> None:
+    entry = entry_of(row("set_limit", "limits", ["L1", 2], {"lot_id": "L1", "rmse": 0.12345}), SAY)
+    assert [now for _, _, now in entry.changes] == ["0.12345"]
+
+
 def test_the_filter_takes_what_it_says() -> None:
     rows = [
         row("set_limit", "limits", ["L1", 1], {"lot_id": "L1", "rmse": 0.2}),

@@ -16,6 +16,7 @@ from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
+from tests.unit_states import sample_release
 
 SMALL = ("--hidden", "16,8", "--no-own")
 
@@ -75,6 +76,17 @@ def test_the_parts_of_a_forecast_add_in_quadrature_and_each_is_explained(url: st
     assert np.asarray(bars.base)[1:] == pytest.approx(ends[:-1])
     assert min(np.diff(np.concatenate([[0.0], ends**2]))) > 0
     assert all(sentence.endswith(".") for _, sentence in bars.customdata)
+
+
+def test_what_audits_of_other_units_make_of_a_forecast_is_a_part_of_it(url: str) -> None:
+    view, _ = figure_of(url, has_audit=False)
+    state = view.stored.state
+    release = sample_release(limit_rmse=state.limit.maximum_rmse, scale=0.75)
+    view = replace(view, stored=replace(view.stored, state=replace(state, audit=None, release=release)))
+    assert view.stored.state.predicted_rmse == pytest.approx(0.75 * state.fit.forecast.rmse)
+    bars = explanation_figure(view, palette("light"), partial(text, "en")).data[0]
+    assert bars.base[-1] + bars.x[-1] == pytest.approx(view.stored.state.predicted_rmse)
+    assert bars.y[-1] == text("en", "part.audits")
 
 
 def test_every_part_of_a_forecast_has_a_sentence() -> None:

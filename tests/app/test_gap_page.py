@@ -60,7 +60,7 @@ def run(rng: np.random.Generator) -> RunView:
 def test_the_page_answers_the_five_questions(run: RunView) -> None:
     page = gap_page(REPORT, [run], "A17", ENGLISH)
     assert [key for key in ("where", "why", "gain", "sure", "next") if ENGLISH(f"gap.{key}") not in page] == []
-    assert all(fact in page for fact in ("thermal drift", "ageing drift", "temperature step", "97 %"))
+    assert all(fact in page for fact in ("thermal drift", "ageing drift", "temperature step", "97.0 %"))
 
 
 def test_nothing_is_loaded_from_elsewhere(run: RunView) -> None:

@@ -123,6 +123,16 @@ def test_a_part_that_states_share_is_stored_once(factory):
     assert [factory.registry.database.value(select(func.count()).select_from(table)) for table in tables] == [1, 1, 0]
 
 
+def test_a_press_keeps_its_forecast_when_a_statement_scales_that_of_the_unit(factory):
+    state = replace(factory.state("A1", 1), limit=Limit("N", 2.0), audit=None)
+    scaled = replace(state, release=sample_release(scale=0.5))
+    for one in (state, scaled):
+        factory.registry.calibrations.add("L1", one)
+    assert scaled.predicted_rmse == state.predicted_rmse / 2
+    (run,) = factory.registry.lots.runs("L1", "A1")
+    assert (run.predicted_rmse, run.verdict) == (state.predicted_rmse, scaled.verdict)
+
+
 def test_equal_states_have_equal_json_whatever_kind_of_number_they_were_given():
     def state(zero: float, whole: float) -> UnitState:
         line = LoadLine(whole, zero)

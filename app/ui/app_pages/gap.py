@@ -68,14 +68,13 @@ def _list(jobs: list[Job]) -> None:
     rows = []
     for brief in jobs:
         report = registry().job_board.job(brief.job_id).result
-        explained_fractions = report.get("shrink", {})
         rows.append(
             {
                 translate("column.made"): format_instant(brief.created),
                 translate("gap.case"): _case_link(brief.request["case"], brief.job_id),
                 translate("gap.says"): translate(f"gap.verdict.{report['verdict']}"),
                 translate("gap.column.effect"): ", ".join(gap.cause_names(report, translate)),
-                translate("gap.held_out"): percent(explained_fractions.get("held_out")),
+                translate("gap.held_out"): percent(gap.explained_fractions(report).get("held_out")),
                 translate("column.actor"): brief.actor,
             }
         )
@@ -204,10 +203,10 @@ def gap_report(job: Job, case: Path) -> None:
         st.header(translate("gap.gain"))
         _figure(gap_figures.gain_figure(report, translate, colours()), "gain")
     with right:
-        st.header(translate("gap.sure"))
-        if hidden := gap.hidden_effects(report, translate):
-            st.caption(translate("gap.hidden", effects=", ".join(hidden)))
         if (figure := gap_figures.hidden_figure(report, translate, colours())) is not None:
+            st.header(translate("gap.sure"))
+            if hidden := gap.hidden_effects(report, translate):
+                st.caption(translate("gap.hidden", effects=", ".join(hidden)))
             _figure(figure, "hidden")
     if lines := gap.unidentifiable_lines(report, translate):
         st.header(translate("gap.told"))
@@ -244,7 +243,7 @@ def _verdict(report: Report) -> None:
         st.markdown(translate("gap.causes", causes=", ".join(causes)))
     if report["missing_channels"]:
         st.caption(translate("gap.missing", channels=", ".join(report["missing_channels"])))
-    explained_fractions = report["shrink"]
+    explained_fractions = gap.explained_fractions(report)
     cells = [
         (translate(f"gap.{name}"), percent(explained_fractions.get(key)), translate(f"gap.{name}.help"))
         for name, key in (("forecast", "predicted"), ("held_out", "held_out"))

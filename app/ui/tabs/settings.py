@@ -115,7 +115,7 @@ def draw_laboratory() -> None:
             st.markdown(f"**{translate(f'laboratory.{name}')}**")
             part, values_by_part[name] = getattr(stored, name), {}
             names = [field.name for field in fields(part)]
-            for column, field in zip(st.columns(len(names)), names, strict=True):
+            for column, field in zip(st.columns(len(names), vertical_alignment="bottom"), names, strict=True):
                 value = str(getattr(part, field))
                 text = "" if value in (laboratory.NOT_STATED, laboratory.NO_COUNTRY) else value
                 label, key = translate(f"laboratory.{field}"), f"laboratory-{name}-{field}"
@@ -166,7 +166,7 @@ def draw_audit_trail() -> None:
         empty("audit.none", translate("empty.lots.how"))
         return
     entries = trail(rows, translate)
-    first, second, third, fourth, fifth = st.columns([3, 2, 3, 2, 2])
+    first, second, third, fourth, fifth = st.columns([2, 2, 2, 3, 3])
     text = str(first.text_input(translate("trail.find"), key="trail-find", icon=":material/search:") or "")
     all_actors, unset = sorted({entry.row.actor for entry in entries}), translate("choose.all")
     actors = second.multiselect(translate("column.actor"), all_actors, key="trail-actor", placeholder=unset)
