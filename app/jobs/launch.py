@@ -1,6 +1,7 @@
-"""Start of a separate process for a job or a simulated station, which outlives the page and its server."""
+"""Start and end of a separate process for a job or a simulated station, which outlives the page and its server."""
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -8,7 +9,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from softcal.app.bootstrap import ONE_THREAD
+from softcal.app.bootstrap import ONE_THREAD, is_alive
 from softcal.app.logs import log_folder
 from softcal.db.registry import Registry
 
@@ -37,6 +38,13 @@ def launch(job_id: str, on_end: Callable[[], None] = lambda: None) -> None:
 def start_simulated_station(name: str) -> None:
     """Start a simulated station's service on the registry of the environment."""
     _start_process(["softcal.app.cli.main", "station", "serve", "--simulated", "--name", name], "station.log", name)
+
+
+def end_simulated_station(registry: Registry, name: str) -> None:
+    """Ask the service of a simulated station of this machine to end; one that does not answer is left alone."""
+    heartbeat = registry.order_queue.heartbeat(name)
+    if heartbeat is not None and registry.order_queue.is_answering(name) and is_alive(heartbeat.process):
+        os.kill(int(heartbeat.process.rpartition(":")[2]), signal.SIGTERM)
 
 
 def _start_process(

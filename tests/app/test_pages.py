@@ -1,8 +1,12 @@
 """Seven pages: every address answers, a page that needs a role asks for it, a text in the bar finds what it names."""
 
 import re
+import signal
+import socket
+import subprocess
+import sys
 from dataclasses import replace
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from functools import partial
 
 import pytest
@@ -10,7 +14,9 @@ import pytest
 from softcal.app.calibration.audit import draw_plan, lot_audit
 from softcal.app.calibration.changes import change_limit
 from softcal.app.calibration.release import outline_lot, read_lot_status
+from softcal.app.jobs.launch import SIMULATED
 from softcal.app.texts.catalogue import catalogue, text
+from softcal.app.ui.components import station_run
 from softcal.app.ui.pages import PAGES, REDIRECTS, page_of, redirect
 from softcal.app.views.common import number
 from softcal.app.views.lot import lot_view
@@ -210,3 +216,37 @@ def test_every_tab_of_a_lot_and_a_unit_writes_its_limit_as_stated_and_errors_ali
     quantities = [number for line in said for number in re.findall(r"([\d.]+) N\b", line)]
     assert stated in quantities
     assert {len(number.partition(".")[2]) for number in quantities if number != stated} == {places}
+
+
+def test_a_simulated_station_is_started_and_switched_off_by_one_button(calibrated: str, show, monkeypatch) -> None:
+    """The service is played by a process that does nothing: what the button does to it is what counts."""
+    service = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    started: list[str] = []
+    monkeypatch.setattr(station_run, "start_simulated_station", started.append)
+
+    def beat(state: StationState, ago_s: float = 0.0) -> None:
+        process, at = f"{socket.gethostname()}:{service.pid}", datetime.now(UTC) - timedelta(seconds=ago_s)
+        with open_registry(calibrated) as registry:
+            registry.order_queue.beat(Heartbeat(SIMULATED, state, at, process=process))
+
+    try:
+        beat(StationState.READY)
+        screen = show(calibrated, "station", role="engineer")
+        beat(StationState.READY)
+        screen.button(key="station-simulated").click().run()
+        assert service.wait(timeout=60) == -signal.SIGTERM and not started
+        beat(StationState.OFF, ago_s=10.0)
+        screen = show(calibrated, "station", role="engineer")
+        screen.button(key="station-simulated").click().run()
+        assert started == [SIMULATED]
+        with open_registry(calibrated) as registry:
+            assert {row.action for row in registry.trail.newest(20) if row.entity == "station"} == {"start", "stop"}
+    finally:
+        service.kill()
+        service.wait()
+
+
+def test_a_station_of_hardware_has_no_button_to_end_it(calibrated: str, show) -> None:
+    with open_registry(calibrated) as registry:
+        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+    assert "station-simulated" not in [one.key for one in show(calibrated, "station", role="engineer").button]

@@ -5,7 +5,7 @@ import uuid
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.jobs.launch import SIMULATED, start_simulated_station
+from softcal.app.jobs.launch import SIMULATED, end_simulated_station, start_simulated_station
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import show_refusals
 from softcal.app.ui.presentation import colours, localize, show_errors, translate
@@ -23,24 +23,35 @@ def choose_station() -> str | None:
     names = [heartbeat.station for heartbeat in registry().order_queue.stations()]
     if not names:
         st.info(translate("station.none.how"), icon=":material/inbox:", title=translate("station.none"))
-        if allows("set_up") and st.button(translate("station.simulate"), icon=":material/science:"):
-            permit("set_up")
-            start_simulated_station(SIMULATED)
-            registry().trail.add("start", "station", (SIMULATED,), {"rig": "simulated"}, actor=actor())
-            st.session_state[AWAITED] = True
-        if st.session_state.get(AWAITED):
-            _await_station()
+        switch_simulated_station()
         return None
     return str(st.selectbox(translate("station.station"), names, key="station-choice"))
 
 
+def switch_simulated_station() -> None:
+    """Draw the button that starts the simulated station of this machine, or ends it."""
+    is_on = registry().order_queue.is_answering(SIMULATED)
+    action = "stop" if is_on else "start"
+    label = translate("station.simulate.off" if is_on else "station.simulate")
+    if allows("set_up") and st.button(label, icon=":material/science:", key="station-simulated"):
+        permit("set_up")
+        if is_on:
+            end_simulated_station(registry(), SIMULATED)
+        else:
+            start_simulated_station(SIMULATED)
+        registry().trail.add(action, "station", (SIMULATED,), {"rig": "simulated"}, actor=actor())
+        st.session_state[AWAITED] = not is_on
+    if AWAITED in st.session_state:
+        _await_station()
+
+
 @st.fragment(run_every=POLL_S)
 def _await_station() -> None:
-    """Wait for the service that was started here to give its first sign of life."""
-    if registry().order_queue.stations():
+    """Wait for the service that was started or ended here to say so."""
+    if registry().order_queue.is_answering(SIMULATED) == st.session_state.get(AWAITED):
         del st.session_state[AWAITED]
         st.rerun()
-    st.caption(translate("station.starting"))
+    st.caption(translate("station.starting" if st.session_state.get(AWAITED) else "station.ending"))
 
 
 def place_order(station: str, kind: OrderKind, serial: str = "", lot_id: str = "", reason: str = "") -> bool:

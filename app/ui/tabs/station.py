@@ -10,13 +10,20 @@ import streamlit as st
 from softcal.app.bootstrap import is_alive
 from softcal.app.charts.station import golden_figure, profile_figure
 from softcal.app.files.profile_file import profile_toml, read_profile
+from softcal.app.jobs.launch import SIMULATED
 from softcal.app.line.cell_certificate import certificate_from
 from softcal.app.line.station_gate import quarantine
 from softcal.app.line.status import state_of
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, finish, show_finished, show_refusals
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.components.station_run import choose_station, newest_run, place_order, run_panel
+from softcal.app.ui.components.station_run import (
+    choose_station,
+    newest_run,
+    place_order,
+    run_panel,
+    switch_simulated_station,
+)
 from softcal.app.ui.panels import numbers, rest_may_follow, show_figure, table
 from softcal.app.ui.presentation import (
     colours,
@@ -155,6 +162,8 @@ def _actions(station: str) -> None:
                 place_order(station, OrderKind.CHECK)
             if st.button(translate("station.acknowledge"), icon=":material/done_all:"):
                 place_order(station, OrderKind.ACKNOWLEDGE)
+            if station == SIMULATED:
+                switch_simulated_station()
         if run := newest_run(station, (OrderKind.CHECK,)):
             if run_panel(run):
                 st.success(localize(run[1].message) or translate("station.check.done"), icon=":material/check:")
