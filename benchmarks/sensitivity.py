@@ -85,11 +85,12 @@ def main() -> int:
     if options.use:
         return print_use(options.seed, options.only)
     chosen = list(cases(np.random.default_rng(options.seed), options.each))
-    read = names_read(Method(), lambda: outcomes(chosen, Method()))
+    by_case = [names_read(Method(), partial(outcomes, [case], Method())) for case in chosen]
+    read = set[str]().union(*by_case)
     names = [name for name, _, _ in Method().numbers() if name.startswith(options.only) and not name.startswith(HELD)]
     asked = [(name, factor) for name in names if name in read for factor in (0.5, 2.0)]
     base = outcomes(chosen, Method())
-    with ProcessPoolExecutor(options.processes, initializer=remember, initargs=(chosen, base)) as pool:
+    with ProcessPoolExecutor(options.processes, initializer=remember, initargs=(chosen, base, by_case)) as pool:
         rows = dict(zip(asked, pool.map(changed, asked), strict=True))
     printed = [(name, *rows[name, 0.5], *rows[name, 2.0]) for name in names if name in read]
     printed.sort(key=lambda row: -max(int(row[1]), int(row[5])))
@@ -200,17 +201,19 @@ def scaled(value: Any, factor: float) -> Any:
     return 1 - (1 - value) * factor if 0.5 < value < 1 else value * factor
 
 
-KEPT: list[tuple[list[Case], list[Outcome]]] = []
+KEPT: list[tuple[list[Case], list[Outcome], list[set[str]]]] = []
 
 
-def remember(chosen: list[Case], base: list[Outcome]) -> None:
-    KEPT[:] = [(chosen, base)]
+def remember(chosen: list[Case], base: list[Outcome], read: list[set[str]]) -> None:
+    KEPT[:] = [(chosen, base, read)]
 
 
 def changed(asked: tuple[str, float]) -> tuple[str, str, str, str]:
-    """Return what one changed number changes: words, families, the worst ratio of forecasts, and estimates."""
+    """Return what a number changes in the units that read it, as one row of the table."""
     name, factor = asked
-    chosen, base = KEPT[0]
+    every_case, every_outcome, read = KEPT[0]
+    reading = [k for k, names in enumerate(read) if name in names]
+    chosen, base = [every_case[k] for k in reading], [every_outcome[k] for k in reading]
     try:
         now = outcomes(chosen, with_number(Method(), name.split("."), factor))
     except FAILURES as error:

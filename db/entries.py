@@ -55,6 +55,11 @@ class UnitEntry:
     def key(self) -> UnitKey:
         return UnitKey(self.lot_id, self.serial)
 
+    @property
+    def errors(self) -> tuple[float | None, ...]:
+        """Its errors in the lot's reference unit, in the order of `UNIT_ERRORS`."""
+        return self.predicted_rmse, self.before_rmse, self.after_rmse, self.own_rmse
+
 
 @dataclass(frozen=True)
 class RunEntry:

@@ -4,7 +4,7 @@ A sample release and a correction are decisions of the lot, numbered and stored.
 whatever else happens, to the lot or to one of its units, can only withdraw units that they released.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 
@@ -45,11 +45,13 @@ def decide_lot(
         if not lot.states:
             return None
         before, number = decision_in_force(registry, lot_id), next_number(registry, lot_id)
-        correction = LotCorrection(number, lot.evidence().lines)
+        evidence = lot.evidence()
+        correction = LotCorrection(number, evidence.lines)
         if correction.lines == before.correction.lines:
             correction = before.correction
-        lot.correct(correction)
-        release = lot.decided(lot.evidence(), correction)
+        if lot.correct(correction):
+            evidence = lot.evidence()
+        release = lot.decided(evidence, correction)
         following = release.next_unit(number)
         decision = lot.following(before, release, next_unit=following, released=release.released)
         decision = replace(decision, correction=correction)
@@ -300,15 +302,20 @@ class _Lot:
             candidates=candidates,
         )
 
-    def correct(self, correction: LotCorrection) -> None:
-        """Take a correction off the maps of the lot, and measure the audited units by their maps of then."""
+    def correct(self, correction: LotCorrection) -> bool:
+        """Take a correction off the maps of the lot, and measure the audited units by their maps of then.
+
+        Returns whether a map or an audit changed.
+        """
         rules = next(iter(self.states.values())).fit.method.release
         if len(correction.lines) < rules.min_correction_audits and not any(s.correction for s in self.states.values()):
-            return
-        audits = newest_audits(self.registry, self.lot_id)
-        for serial in list(self.states):
-            state = self._with_arrays(serial)
-            corrected = correction.apply(state, source_recording(self.registry, state.fit.network_id))
+            return False
+        audits, is_changed = newest_audits(self.registry, self.lot_id), False
+        networks = {state.fit.network_id for state in self.states.values()}
+        sources = {network_id: source_recording(self.registry, network_id) for network_id in networks}
+        self._read_arrays(self.states)
+        for serial, state in list(self.states.items()):
+            corrected = correction.apply(state, sources[state.fit.network_id])
             if corrected.line_behind == state.line_behind:
                 continue
             if corrected.audit is not None and corrected.audit.map_id != corrected.map_id:
@@ -317,10 +324,13 @@ class _Lot:
                     continue
                 corrected = measure_unit(self.registry, corrected, audit)
             self.put(serial, corrected, AUDIT_REASON)
+            is_changed = True
+        return is_changed
 
     def put_all(self, states: Mapping[str, UnitState], reason: str) -> None:
         """Put states into use where they are not, after one look at what is there of all."""
         self.registry.calibrations.read_ahead(self.lot_id, list(states))
+        self._read_arrays(serial for serial, state in states.items() if state.line_behind is not None)
         for serial, state in states.items():
             self.put(serial, state, reason)
 
@@ -330,7 +340,8 @@ class _Lot:
         if all(getattr(before, one.name) == getattr(state, one.name) for one in fields(state) if one.name != "fit"):
             return
         if state.fit.fitted is None and state.line_behind is not None:
-            state = replace(state, fit=self._with_arrays(serial).fit)
+            self._read_arrays([serial])
+            state = replace(state, fit=self.states[serial].fit)
         self.states[serial] = state
         self.registry.calibrations.put_state(self.lot_id, state, "release", actor=self.actor, reason=reason)
 
@@ -347,7 +358,8 @@ class _Lot:
                 continue
             audit = audit_of(registry, entry)
             if audit is not None:
-                complete = replace(self._with_arrays(serial), unreadable_audit=None)
+                self._read_arrays([serial])
+                complete = replace(self.states[serial], unreadable_audit=None)
                 self.put(serial, measure_unit(registry, complete, audit), "scored on a newer audit")
         suspects = self.audits().suspects(self.lot_id)
         for serial, state in list(self.states.items()):
@@ -355,12 +367,12 @@ class _Lot:
                 note = "its audit is set aside" if serial in suspects else "its audit counts again"
                 self.put(serial, replace(state, suspect_audit=suspects.get(serial)), note)
 
-    def _with_arrays(self, serial: str) -> UnitState:
-        state = self.states[serial]
-        if state.fit.fitted is None:
-            state = replace(state, fit=self.registry.calibrations.get(serial, lot_id=self.lot_id).state.fit)
-            self.states[serial] = state
-        return state
+    def _read_arrays(self, serials: Iterable[str]) -> None:
+        """Read the fits of units with their arrays, of all at once."""
+        listed = [serial for serial in serials if self.states[serial].fit.fitted is None]
+        stored = self.registry.pages.unit_statuses(self.lot_id, listed, has_stale=True, has_arrays=True)
+        for serial, state in _states(stored).items():
+            self.states[serial] = replace(self.states[serial], fit=state.fit)
 
 
 def _unit_release(decided: LotRelease, state: UnitState, number: int) -> SampleRelease | None:

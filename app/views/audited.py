@@ -10,8 +10,8 @@ from softcal.core.metrics import rmse
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.state import UnitState
+from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
-from softcal.db.repositories.lot_pages import UnitErrors
 
 MAX_UNITS = 12
 """So many audited units are drawn, the largest errors first; each is read and estimated anew."""
@@ -80,7 +80,7 @@ def audit_trace(registry: Registry, lot_id: str, state: UnitState) -> AuditTrace
 
 
 def audited_view(
-    registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...], limit_rmse: float | None = None
+    registry: Registry, lot: Lot, audited: tuple[UnitEntry, ...], limit_rmse: float | None = None
 ) -> AuditedView | None:
     """Estimate the newest audits of a lot with the maps in use; None where there are none."""
     worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MAX_UNITS]

@@ -176,8 +176,8 @@ def _describe_error(card: Card) -> tuple[str, ...]:
     line, state = card.line, card.now.state if card.now else None
     kind, rmse = "", line.results[-1].predicted_rmse if line.results else None
     if state is not None:
-        measured = state.scores if state.decision.is_audited else None
-        kind, rmse = (".measured", measured.after.rmse) if measured else ("", state.predicted_rmse)
+        scores = state.scores
+        kind, rmse = ("", state.predicted_rmse) if scores is None else (".measured", scores.after.rmse)
     if line.lot is None or rmse is None:
         return card.changed
     unit, limit = line.lot.lot.reference_unit, line.lot.lot.limit_rmse

@@ -17,9 +17,8 @@ from softcal.core.quality.control_chart import FORBIDDING, Capability, ControlCh
 from softcal.core.quality.yields import UNDECIDED, UnitRun, Yields, yields
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import VERDICTS, Limit
-from softcal.db.entries import RunEntry
+from softcal.db.entries import RunEntry, UnitEntry
 from softcal.db.registry import Registry
-from softcal.db.repositories.lot_pages import UnitErrors
 
 NEWEST_OF_YIELD = 20
 """So many of the newest units are compared with all before them; set, not fitted."""
@@ -109,7 +108,7 @@ class LotView:
 
     lot: Lot
     counts: Mapping[str, int]
-    errors: tuple[UnitErrors, ...]
+    errors: tuple[UnitEntry, ...]
     yields: Yields
     reasons: tuple[tuple[Reason, int], ...]
     process: ProcessView
@@ -151,7 +150,7 @@ class LotView:
         return float(np.median(values)) if len(values) else None
 
     @property
-    def audited(self) -> tuple[UnitErrors, ...]:
+    def audited(self) -> tuple[UnitEntry, ...]:
         """Units with a score against a reference."""
         return tuple(row for row in self.errors if row.after_rmse is not None)
 

@@ -97,16 +97,15 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, translat
         )
     if view.audited:
         worst = sorted(view.audited, key=lambda row: -(row.after_rmse or 0.0))[:MAX_ROWS]
-        scored = [(row.serial, translate(f"verdict.{row.verdict}"), *map(error, row[2:])) for row in worst]
+        scored = [(row.serial, translate(f"verdict.{row.verdict}"), *map(error, row.errors)) for row in worst]
         yield ReportPart(translate("lot.scores"), "", [*identity_titles, *errors], scored, (0.2, *[0.16] * 5))
     if units:
         titles = [*identity_titles, *errors, translate("column.family"), translate("column.reasons")]
         shares = (0.12, 0.12, *[0.08] * 4, 0.1, 0.34)
         listed = []
         for one in units:
-            measured = map(error, (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse))
-            verdict = translate(f"verdict.{one.verdict or 'none'}")
-            listed.append([one.serial, verdict, *measured, one.family or "–", render_reasons(one.reasons, translate)])
+            verdict, reasons = translate(f"verdict.{one.verdict or 'none'}"), render_reasons(one.reasons, translate)
+            listed.append([one.serial, verdict, *map(error, one.errors), one.family or "–", reasons])
         yield ReportPart(title, "", titles, listed, shares)
 
 

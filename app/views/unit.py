@@ -1,20 +1,15 @@
 """One unit in full: a revision of its map, its estimates, and why its verdict is so."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 
-from softcal.app.registry.limit import limit_or_none
 from softcal.app.registry.lot_recordings import source_recording, unlabelled
 from softcal.app.views.audited import AuditTrace, audit_trace
 from softcal.core.lot import Lot, UnitKey
-from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.state import UnitState
-from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.windows import resting
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
@@ -56,40 +51,10 @@ class UnitView(UnitSignals):
     audit: AuditTrace | None
 
 
-@dataclass(frozen=True)
-class UnitHead:
-    """What a unit is and what was decided on it.
-
-    Args:
-        limit: that the verdict is against; None before there is one.
-        made_at, actor: when the verdict in force was made, and by whom; None and "" before there is one.
-        station: where its newest recording was pressed; "" where it came as a file.
-    """
-
-    verdict: str | None
-    reasons: tuple[Reason, ...]
-    limit: Limit | None
-    made_at: datetime | None
-    actor: str
-    station: str
-    is_released: bool
-
-
-def unit_head(registry: Registry, key: UnitKey, history: Sequence[StoredCalibration]) -> UnitHead:
-    """Read the head of a unit, whose revisions are `history`."""
-    unit = next(unit for unit in registry.lots.units(key.lot_id, key.serial))
+def station_of(registry: Registry, key: UnitKey) -> str:
+    """Return the station at which the newest recording of a unit was pressed; "" where it came as a file."""
     presses = [press for press in registry.order_queue.pressed(key.lot_id) if press.serial == key.serial]
-    newest = max(presses, key=lambda press: press.begun, default=None)
-    current = next((entry for entry in history if entry.is_current), None)
-    return UnitHead(
-        unit.verdict,
-        unit.reasons,
-        limit_or_none(registry, key.lot_id),
-        unit.made_at,
-        "" if current is None else current.actor,
-        "" if newest is None else newest.station,
-        unit.verdict == Verdict.PASS,
-    )
+    return max(presses, key=lambda press: press.begun).station if presses else ""
 
 
 def unit_view(registry: Registry, unit: UnitKey, revision: int | None = None) -> UnitView:

@@ -163,7 +163,10 @@ class UnitState:
     @property
     def scores(self) -> Scores | None:
         """What its audit showed of the map in force; None where nothing did, or the audit is suspect."""
-        return None if self.audit is None or self._measured is None else self.audit.scores
+        audit = self.audit
+        if audit is None or audit.map_id != self.map_id or self.suspect_audit is not None:
+            return None
+        return audit.scores
 
     @property
     def errors(self) -> dict[str, float | None]:

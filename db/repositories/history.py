@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from datetime import date, datetime
 
-from sqlalchemy import Table, bindparam, select
+from sqlalchemy import Select, Table, bindparam, func, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
@@ -24,6 +24,17 @@ NEWEST = (
 """Built once, as every write needs it: building a statement takes longer than running it."""
 
 
+def _select_origins() -> Select[tuple[str]]:
+    # One look into the index per registry; DISTINCT would read the whole trail.
+    first = select(func.min(audit.c.origin).label("origin")).cte("chain", recursive=True)
+    following = select(func.min(audit.c.origin)).where(audit.c.origin > first.c.origin).scalar_subquery()
+    chain = first.union_all(select(following).where(first.c.origin.is_not(None)))
+    return select(chain.c.origin).where(chain.c.origin.is_not(None))
+
+
+ORIGINS = _select_origins()
+
+
 def row_hash(row: AuditRow) -> str:
     """Return the hash a row must have."""
     fields = {name: value for name, value in vars(row).items() if name != "hash"}
@@ -32,14 +43,7 @@ def row_hash(row: AuditRow) -> str:
 
 def origins(database: Database) -> list[str]:
     """Return the registries whose chains are here."""
-    # One look into the index per registry; DISTINCT would read the whole trail.
-    names: list[str] = []
-    query = select(audit.c.origin).order_by(audit.c.origin).limit(1)
-    name = database.value(query)
-    while name is not None:
-        names.append(name)
-        name = database.value(query.where(audit.c.origin > name))
-    return names
+    return database.values(ORIGINS)
 
 
 def rows(

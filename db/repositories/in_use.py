@@ -44,6 +44,13 @@ ROWS = {
         *(calibrations.c[name] for name in ("fit_sha256", "state_sha256", "input_sha256")),
     ).order_by(*NEWEST_FIRST),
 }
+LIMIT_IN_FORCE = (
+    select(lots.c.reference_unit, limits.c.rmse)
+    .outerjoin_from(lots, limits, limits.c.lot_id == lots.c.id)
+    .where(lots.c.id == bindparam("lot"))
+    .order_by(limits.c.made_at.desc(), limits.c.origin.desc())
+    .limit(1)
+)
 ROWS_OF_UNIT = {table: query.where(table.c.serial == bindparam("unit")) for table, query in ROWS.items()}
 """Built once, for every unit of a batch: to build a statement takes longer than to run it."""
 
@@ -262,9 +269,8 @@ def newest_limit(database: Database, lot_id: str) -> LimitEntry | None:
 
 def limit_in_force(database: Database, lot_id: str) -> LimitInForce:
     """Return the limit in force of a lot."""
-    newest = newest_limit(database, lot_id)
-    unit = database.value(select(lots.c.reference_unit).where(lots.c.id == lot_id))
-    return LimitInForce(newest.rmse if newest else None, unit or "")
+    row = database.row(LIMIT_IN_FORCE, {"lot": lot_id})
+    return LimitInForce(None, "") if row is None else LimitInForce(row["rmse"], row["reference_unit"])
 
 
 def conflict_line(database: Database, lot_id: str, serial: str) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import ColumnElement, and_, bindparam, case, func, select
@@ -98,20 +98,6 @@ class UnitPage:
     total: int
 
 
-class UnitErrors(NamedTuple):
-    """The errors of one unit's newest map in the reference unit, and its verdict.
-
-    Audits that are set aside have no errors here, as the errors may be another unit's.
-    """
-
-    serial: str
-    verdict: str
-    predicted_rmse: float | None
-    before_rmse: float | None
-    after_rmse: float | None
-    own_rmse: float | None
-
-
 class LotPages(RegistryBase):
     """Status of many units at once: pages, counts, errors, without reading the whole lot."""
 
@@ -131,14 +117,17 @@ class LotPages(RegistryBase):
             entries = [status_query.entry(row) for row in self.database.rows(query, status_query.values)]
         return UnitPage(tuple(entries), int(total))
 
-    def unit_statuses(self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False) -> dict[str, UnitResult]:
+    def unit_statuses(
+        self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False, has_arrays: bool = False
+    ) -> dict[str, UnitResult]:
         """Return the status of units of a lot for a report.
 
-        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
+        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of a unit that was
         decided against another limit than the one in force.
 
         Args:
             has_stale: whether a unit decided against another limit still has its calibration.
+            has_arrays: whether its map can estimate; without, a lot of ten thousand fits into memory.
         """
         unit_statuses: dict[str, UnitResult] = {}
         c = calibrations.c
@@ -157,7 +146,7 @@ class LotPages(RegistryBase):
                 if unit.verdict is not None and unit.made_at is not None:
                     stored, row = None, rows.get((unit.serial, unit.state_sha256))
                     if has_calibration and row is not None:
-                        state = state_of(self.database, row, fit_rows, has_arrays=False)
+                        state = state_of(self.database, row, fit_rows, has_arrays=has_arrays)
                         stored = of_row(StoredCalibration, row, state=state, is_current=True, is_conflict=False)
                     decision = (unit.verdict, unit.reasons, unit.made_at)
                     unit_statuses[unit.serial] = UnitResult(unit.serial, *decision, stored)
@@ -198,21 +187,18 @@ class LotPages(RegistryBase):
         with self.database.reading():
             statuses = StatusQuery(self.database, lot_id, role="target")
             table = statuses.table
-            measured = and_(table.c.after_rmse.is_not(None), ~table.c.is_suspect)
-            return int(self.database.value(select(func.count()).select_from(table).where(measured), statuses.values))
+            query = select(func.count()).select_from(table).where(table.c.after_rmse.is_not(None))
+            return int(self.database.value(query, statuses.values))
 
-    def lot_errors(self, lot_id: str) -> list[UnitErrors]:
-        """Return the errors of every target unit with a map, by serial."""
+    def lot_errors(self, lot_id: str) -> list[UnitEntry]:
+        """Return verdict and errors of every target unit with a map, by serial, without its reasons."""
         with self.database.reading():
             self._lot_row(lot_id)
             statuses = StatusQuery(self.database, lot_id, role="target")
-            table = statuses.table
-            predicted, *audited = (table.c[name] for name in UNIT_ERRORS)
-            measured = [case((table.c.is_suspect, None), else_=error) for error in audited]
-            query = select(table.c.revision, table.c.serial, table.c.verdict, predicted, *measured)
+            columns = [statuses.table.c[name] for name in ("lot_id", "serial", "role", "verdict", *CALIBRATION_FIELDS)]
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
-            rows = self.database.tuples(query.order_by(table.c.serial), statuses.values)
-            return [UnitErrors(*row) for revision, *row in rows if revision is not None]
+            rows = self.database.rows(select(*columns).order_by(statuses.table.c.serial), statuses.values)
+            return [UnitEntry(**row) for row in rows if row["revision"] is not None]
 
     def change_marker(self, lot_id: str) -> str:
         """Return text that changes whenever anything of a lot does.
@@ -304,7 +290,6 @@ def _status_table(has_serials: bool, has_role: bool, is_limited: bool) -> sa.Sub
         # What is left out of an entry.
         "is_made": and_(is_stated, ~is_undecided),
         "is_refused": is_refused,
-        "is_suspect": c.c.suspect_audit.is_not(None),
         "judged_by": case((is_unjudged, c.c.limit_rmse), else_=None),
     }
     stated = units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, ("made_at", "number", "origin"))))

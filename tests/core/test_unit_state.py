@@ -190,9 +190,20 @@ def test_an_audit_speaks_of_the_map_that_it_measured_alone_but_a_fail_stays():
         good, bad = (replace(measured(after), **change) for after in (0.1, 0.9))
         assert good.verdict is Verdict.CONDITIONAL and good.scores is None
         assert "audited_before_trim" in {why.code for why in good.decision.reasons}
-        assert bad.verdict is Verdict.FAIL and bad.scores is not None
+        assert bad.verdict is Verdict.FAIL and bad.scores is None
         again = replace(good, audit=audit_of(good, 1.0, 0.1))
         assert again.verdict is Verdict.PASS and not again.blocking_reasons
+
+
+def test_an_audit_that_may_be_of_another_unit_states_no_error():
+    for after in (0.1, 0.9):
+        suspect = ACTS["suspect"](measured(after))
+        assert suspect.verdict is Verdict.RETEST and suspect.scores is None
+        assert {name: value for name, value in suspect.errors.items() if value is not None} == {
+            "predicted_rmse": suspect.predicted_rmse
+        }
+        confirmed = replace(suspect, suspect_audit=None)
+        assert confirmed.errors["after_rmse"] == after
 
 
 def test_loads_that_were_left_out_block_until_a_newer_audit_and_what_the_map_reads_blocks_nothing():

@@ -62,8 +62,9 @@ def test_the_worst_come_first_and_units_without_a_value_last(lot):
 
 
 def test_the_errors_are_those_of_the_newest_maps(lot):
-    errors = {row[0]: row[1:] for row in lot.pages.lot_errors("L1")}
-    assert errors["A1"] == ("pass", 0.9, 0.9, 0.4, 0.3) and errors["A2"][0] == "retest" and "B1" not in errors
+    rows = {row.serial: row for row in lot.pages.lot_errors("L1")}
+    assert (rows["A1"].verdict, rows["A1"].errors) == ("pass", (0.9, 0.9, 0.4, 0.3))
+    assert rows["A2"].verdict == "retest" and "B1" not in rows
 
 
 def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory, recording_of):

@@ -2,6 +2,7 @@
 
 import streamlit as st
 
+from softcal.app.registry.limit import limit_or_none
 from softcal.app.registry.unit_status import find_unit_status
 from softcal.app.ui.actions import show_finished
 from softcal.app.ui.panels import heading, lot_link, numbers, table, unit_link, units_of_address
@@ -10,8 +11,10 @@ from softcal.app.ui.server_cache import registry
 from softcal.app.ui.tab_bar import draw_tabs
 from softcal.app.ui.tabs.unit import draw_recordings
 from softcal.app.views.common import number, render_limit
-from softcal.app.views.unit import UnitHead, unit_head
+from softcal.app.views.unit import station_of
 from softcal.core.lot import UnitKey
+from softcal.core.unit.verdict import Verdict
+from softcal.db.entries import UnitEntry
 
 FIRST = 20
 """So many units are offered where the address names none."""
@@ -26,13 +29,14 @@ def render() -> None:
     (key,) = units
     history = registry().calibrations.history(key.serial, key.lot_id)
     current = registry().calibrations.get(key.serial, lot_id=key.lot_id).revision if history else None
-    head = unit_head(registry(), key, history)
+    (unit,) = registry().lots.units(key.lot_id, key.serial)
+    is_released = unit.verdict == Verdict.PASS
     with heading("unit", key.serial):
-        verdict_badge(head.verdict, translate("unit.released" if head.is_released else "unit.not_released"))
-    st.markdown(_head_line(key, head))
+        verdict_badge(unit.verdict, translate("unit.released" if is_released else "unit.not_released"))
+    st.markdown(_head_line(unit, next((entry.actor for entry in history if entry.is_current), "")))
     show_finished("unit")
     if current is None:
-        empty("empty.calibration", localize(head.reasons))
+        empty("empty.calibration", localize(unit.reasons))
         draw_recordings(key)
         return
     revisions, revision = [entry.revision for entry in reversed(history)], current
@@ -43,14 +47,14 @@ def render() -> None:
     status = find_unit_status(registry(), stored)
     if status.calibration is None:
         st.markdown(f"{translate('unit.refused_since')} **{localize(status.reasons)}**")
-    unit, errors = registry().lots.get(key.lot_id).reference_unit, stored.state.errors
+    load_unit, errors = registry().lots.get(key.lot_id).reference_unit, stored.state.errors
     # What was measured first.
     scores = [(translate(f"column.{name}"), errors[f"{name}_rmse"], None) for name in ("after", "before", "own")]
     cells = [*scores, (translate("lot.predicted"), errors["predicted_rmse"], translate("unit.predicted.help"))]
     with right:
         numbers(
             [
-                (label, number(value, unit, stored.state.limit.maximum_rmse), tip)
+                (label, number(value, load_unit, stored.state.limit.maximum_rmse), tip)
                 for label, value, tip in cells
                 if value is not None
             ]
@@ -58,14 +62,14 @@ def render() -> None:
     draw_tabs("unit", key, stored)
 
 
-def _head_line(key: UnitKey, head: UnitHead) -> str:
+def _head_line(unit: UnitEntry, actor: str) -> str:
     """Return lot, limit, instant, person and station in one line."""
     cells = [
-        (translate("choose.lot"), lot_link(key.lot_id).markdown),
-        (translate("lot.limit"), render_limit(head.limit, translate)),
-        (translate("column.made"), format_instant(head.made_at)),
-        (translate("column.actor"), head.actor),
-        (translate("station.station"), head.station or translate("lot.yield.desk")),
+        (translate("choose.lot"), lot_link(unit.lot_id).markdown),
+        (translate("lot.limit"), render_limit(limit_or_none(registry(), unit.lot_id), translate)),
+        (translate("column.made"), format_instant(unit.made_at)),
+        (translate("column.actor"), actor),
+        (translate("station.station"), station_of(registry(), unit.key) or translate("lot.yield.desk")),
     ]
     return " · ".join(f"{label}: **{value}**" for label, value in cells if value)
 
