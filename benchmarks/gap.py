@@ -30,7 +30,7 @@ from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, dista
 from softcal.core.challenge.explained_fraction import explained_fraction
 from softcal.core.challenge.score import POOR, ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label
-from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.twin import diagnose
 from softcal.core.metrics import finite_or_none, wilson
 
 TABLES = ("lines", "detection", "sureness", "experiments", "speed", "residual", "forms")

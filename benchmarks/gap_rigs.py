@@ -44,8 +44,10 @@ from softcal.core.challenge.score import (
     shortfalls,
 )
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import Diagnosis, diagnose, diagnose_simulator
+from softcal.core.gap.diagnosis import Diagnosis
 from softcal.core.gap.places import explained_twin
+from softcal.core.gap.simulator_model import diagnose_simulator
+from softcal.core.gap.twin import diagnose
 from softcal.core.lot_diagnosis import LotDiagnosis, diagnose_lot
 from softcal.core.metrics import wilson
 from softcal.core.recording import LabelledRecording, OutputRecording

@@ -7,21 +7,13 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
-from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.evidence import (
-    Fits,
-    Yardstick,
-    estimates_of,
-    log_evidences,
-    misfit,
-    penalty,
-    probabilities,
-)
-from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.diagnosis import Diagnosis, DiagnosisVerdict
+from softcal.core.gap.evidence import ParameterEstimate, estimates_of, probabilities
+from softcal.core.gap.fit import Yardstick, fit, log_evidences, misfit, penalty
+from softcal.core.gap.hypothesis import Hypothesis
 from softcal.core.gap.method import CompetingHypothesesConfig
-from softcal.core.gap.model import DiagnosisVerdict, ParameterEstimate
-from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.twin import TWIN, TwinModel
+from softcal.core.gap.model import Fit, Fits, Problem
+from softcal.core.gap.twin import TWIN, TwinModel, diagnose
 from softcal.core.recording import Array
 
 Ids = tuple[str, ...]

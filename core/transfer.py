@@ -7,9 +7,9 @@ import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import Diagnosis
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.model import CalibrationGap
+from softcal.core.gap.diagnosis import CalibrationGap, Diagnosis
+from softcal.core.gap.fit import fit
+from softcal.core.gap.model import Fit
 from softcal.core.gap.places import explained_twin
 from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.metrics import rmse

@@ -133,15 +133,18 @@ def _check(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.diagnose import open_case_or_table
     from softcal.app.gap.simulator import load_simulator, read_runs
-    from softcal.core.gap.diagnosis import check_case, check_simulator
+    from softcal.core.gap.diagnosis import check_case
     from softcal.core.gap.experiments import reasons
+    from softcal.core.gap.simulator_model import check_simulator
+    from softcal.core.gap.twin import TWIN
 
     if options.simulator:
         _refuse_electronics(options)
         simulator = load_simulator(options.simulator)
         result = check_simulator(simulator, read_runs(options.case, simulator, table_options(options))[0])
     else:
-        result = check_case(open_case_or_table(options.case, _table_readout(options), table_options(options)))
+        case = open_case_or_table(options.case, _table_readout(options), table_options(options))
+        result = check_case(case, TWIN)
     mistakes, identifiability = result
     record = None if identifiability is None else identifiability.record()
     data = [mistake.record() for mistake in mistakes]
@@ -255,7 +258,7 @@ def _diagnose_case(options: argparse.Namespace) -> "Diagnosis[Any]":
     """Return the diagnosis of a case, by the twin or by the user's simulator."""
     from softcal.app.gap.diagnose import case_provenance, diagnose_case
     from softcal.app.gap.simulator import foretell_duration, in_processes, load_simulator, read_runs
-    from softcal.core.gap.diagnosis import diagnose_simulator
+    from softcal.core.gap.simulator_model import diagnose_simulator
 
     if not options.simulator:
         with_calibration = getattr(options, "calibration", False)

@@ -14,9 +14,9 @@ from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.views.gap_runs import ChannelView, RunView
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
-from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.diagnosis import Diagnosis
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.twin import TwinModel
+from softcal.core.gap.twin import TwinModel, diagnose
 from softcal.core.transfer import calibration_gap
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, twin_from_record, twin_record

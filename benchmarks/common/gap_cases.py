@@ -14,8 +14,9 @@ from common.tables import print_table
 from softcal.core.challenge.cases import RunPlan, SealedCase
 from softcal.core.challenge.explained_fraction import residual_rms
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.diagnosis import Diagnosis
 from softcal.core.gap.places import explained_twin
+from softcal.core.gap.twin import diagnose
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, simulate, twin_from_record, twin_record
 

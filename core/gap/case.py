@@ -1,22 +1,19 @@
 """A case for diagnosis: several runs of one unit on one rig, checked once when made; mistakes in them."""
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import Literal, TypeAlias, get_args
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import Reason, reason, with_sentences
 from softcal.core.recording import Array
-from softcal.core.twin.effects import ChainStage
+from softcal.core.twin.effects import ChainStage, Parameter
 from softcal.core.twin.parameters import ReadoutMetadata
-
-Mask: TypeAlias = NDArray[np.bool_]
-"""Which samples are meant."""
 
 RunKind = Literal["press", "rigid_block", "dummy_resistor", "dead_weights", "rest"]
 KINDS: tuple[RunKind, ...] = get_args(RunKind)
@@ -149,6 +146,55 @@ class Run:
     def temperature_rise_K(self) -> Array | None:
         """(n,) temperature above that of the first sample."""
         return None if self.temperature_C is None else self.temperature_C - self.temperature_C[0]
+
+
+COMMON = {"N": 8.0, "mm": 3.0, "ohm": 10.0, "V": 4.0}
+"""Force, stroke, series resistor and supply of the rig of the catalogue's bounds."""
+
+
+FACTOR = re.compile(r"(N|mm|ohm|V|s|K|Hz|rad|1)([²³]?)")
+
+
+POWERS = {"": 1, "²": 2, "³": 3}
+
+
+@dataclass(frozen=True)
+class RigScale:
+    """How large a rig is against the common one, by unit; other units are not scaled."""
+
+    sizes: tuple[tuple[str, float], ...] = ()
+
+    @classmethod
+    def of(cls, case: "Case") -> "RigScale":
+        """Read force and stroke off the runs that are pressed, the others off the metadata."""
+        spans = {}
+        for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):
+            span = max((float(np.ptp(v)) for v in case.recorded(channel)), default=0.0)
+            spans[unit] = span / COMMON[unit] or None
+        # Without a cell, or without a stage, the pad is as stiff as the common one.
+        positive_sizes = [size for size in spans.values() if size]
+        common = positive_sizes[0] if positive_sizes else 1.0
+        readout = case.readout
+        sizes = {unit: size or common for unit, size in spans.items()}
+        sizes |= {"ohm": readout.r_series_ohm / COMMON["ohm"], "V": readout.vref_V / COMMON["V"]}
+        return cls(tuple(sizes.items()))
+
+    def factor(self, unit: str) -> float:
+        """Return by what a quantity of this unit, as `N/mm³`, is larger than on the common rig."""
+        sizes, (over, _, under) = dict(self.sizes), unit.partition("/")
+        matches = [FACTOR.fullmatch(part.strip()) for part in (over, under)]
+        times, per = (sizes.get(one[1], 1.0) ** POWERS[one[2]] if one else 1.0 for one in matches)
+        return times / per
+
+    def sized(self, parameter: Parameter) -> Parameter:
+        """Return a parameter with the bounds and the usual size that it has on this rig."""
+        return _sized(self, parameter)
+
+
+@lru_cache(maxsize=4096)
+def _sized(scale: RigScale, parameter: Parameter) -> Parameter:
+    factor = scale.factor(parameter.unit)
+    return replace(parameter, low=factor * parameter.low, high=factor * parameter.high, usual=factor * parameter.usual)
 
 
 @dataclass(frozen=True)

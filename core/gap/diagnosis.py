@@ -1,26 +1,30 @@
 """The diagnosis: where a model is wrong, why, how sure that is, how far the gap shrinks, what to record next."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, Self, TypeAlias, TypeVar
+from typing import Any, Generic, Literal, Self, TypeAlias, TypeVar
 
-from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake
 from softcal.core.gap.empirical import LearnedResidual, learn_residual
 from softcal.core.gap.evidence import (
+    FaultLocation,
+    Partial,
+    RankedCause,
+    Where,
     bounds_reached,
     competing_hypotheses,
     confused_pairs,
     consistency_of,
-    exact_log_evidence,
     hidden_fraction,
+    in_catalogue_form,
     list_completeness,
-    log_evidences,
     partial_of,
     probabilities,
     ranked_causes,
     rest_energy,
     weights_of,
+    with_constants,
 )
 from softcal.core.gap.experiments import (
     Identifiability,
@@ -29,9 +33,8 @@ from softcal.core.gap.experiments import (
     propose_for_unmodelled,
     reasons,
 )
-from softcal.core.gap.fit import Fit
-from softcal.core.gap.model import CalibrationGap, DiagnosisVerdict, FaultLocation, Model, Partial, RankedCause, Where
-from softcal.core.gap.places import in_catalogue_form, with_constants
+from softcal.core.gap.fit import exact_log_evidence, log_evidences
+from softcal.core.gap.model import Fit, Model
 from softcal.core.gap.residual import (
     ChannelGap,
     ExplainedFraction,
@@ -44,12 +47,7 @@ from softcal.core.gap.residual import (
     unsupported,
 )
 from softcal.core.gap.search import Progress, Search, search_under_correlated_noise
-from softcal.core.gap.simulator import Simulator, SimulatorRun, check_calls
-from softcal.core.gap.simulator_model import SimulatorModel
-from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.messages.reason import several
-
-M = TypeVar("M", bound=Model)
 
 Checked: TypeAlias = tuple[tuple[DataMistake, ...], Identifiability | None]
 """Mistakes or questions, and what runs tell."""
@@ -58,6 +56,54 @@ Checked: TypeAlias = tuple[tuple[DataMistake, ...], Identifiability | None]
 SCHEMA = "softcal.gap/1"
 
 NOT_MEASURED = "not measured: the recordings hold a mistake"
+
+
+DiagnosisVerdict = Literal["no_gap", "explained", "explained_in_part", "ambiguous", "unknown", "data"]
+
+
+@dataclass(frozen=True)
+class CalibrationGap:
+    """Errors of f on a run that neither twin nor f has seen, RMS in N, by what f was trained on.
+
+    Args:
+        run: the run that was held back.
+        base, repaired: f trained on the refitted base twin, and on the twin with the causes.
+        rig: f trained on the rig's other runs.
+    """
+
+    run: str
+    base: float
+    repaired: float
+    rig: float
+
+
+class ReportingModel(Model):
+    """A model that can say where a gap lies, and what to record next."""
+
+    @abstractmethod
+    def mistakes_by_search(self, search: Search) -> tuple[DataMistake, ...]:
+        """Return mistakes of recordings that explain more than the causes of a search do."""
+
+    @abstractmethod
+    def where(self, search: Search, assessment: "Assessment", causes: Sequence[RankedCause]) -> Where:
+        """Return where the gap lies."""
+
+    @abstractmethod
+    def next_experiment(
+        self, search: Search, assessment: "Assessment", telling: NextExperiment | None
+    ) -> NextExperiment:
+        """Return what to record next.
+
+        Args:
+            telling: the run that tells a rest from the causes nearest to it; None where none does.
+        """
+
+    @abstractmethod
+    def report(self, diagnosis: "Diagnosis[Any]") -> dict[str, object]:
+        """Return what the report of this model has besides, ready for JSON."""
+
+
+M = TypeVar("M", bound=ReportingModel)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -162,57 +208,7 @@ class Diagnosis(Generic[M]):
         return report | self.model.report(self) | ({"provenance": self.provenance} if self.provenance else {})
 
 
-def diagnose(
-    case: Case,
-    progress: Progress | None = None,
-    on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
-    model: TwinModel = TWIN,
-) -> Diagnosis[TwinModel]:
-    """Diagnose the gap between the twin of a soft sensor and the recordings of a case.
-
-    Args:
-        on_fits: called with every hypothesis that was fitted; not where the verdict is `data`.
-    """
-    return diagnose_with(model, case, progress, on_fits)
-
-
-def diagnose_simulator(
-    simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "", progress: Progress | None = None
-) -> Diagnosis[SimulatorModel]:
-    """Diagnose the gap between a simulator and recordings of what it simulates.
-
-    Args:
-        runs: made by `recorded`.
-
-    Raises:
-        InputError: no run, or the simulator gives something else than finite channels.
-    """
-    on_progress = progress or (lambda _: None)
-    on_progress("calling the simulator a few times")
-    return diagnose_with(*_called(simulator, runs, serial), on_progress)
-
-
-def _called(simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "") -> tuple[SimulatorModel, Case]:
-    if not runs:
-        raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
-    names = [run.name for run in runs]
-    if len(set(names)) < len(names):
-        raise InputError(f"simulator {simulator.name}: two runs have one name: {', '.join(names)}")
-    check_calls(simulator, runs)
-    return SimulatorModel(simulator.of_runs(names)), Case(serial, tuple(runs))
-
-
-def check_simulator(simulator: Simulator, runs: Sequence[SimulatorRun]) -> Checked:
-    """Return the mistakes in recordings and, without any, what they tell of a simulator; no search.
-
-    Raises:
-        InputError: as for `diagnose_simulator`.
-    """
-    model, case = _called(simulator, runs)
-    return check_case(case, model)
-
-
-def check_case(case: Case, model: Model = TWIN) -> Checked:
+def check_case(case: Case, model: Model) -> Checked:
     """Return the mistakes in the recordings and, where there is none, what the runs tell of a model."""
     if recording_mistakes := model.mistakes(case):
         return recording_mistakes, None
@@ -264,7 +260,7 @@ def diagnose_with(
     best, best_with_constants = assessment.best, with_constants(assessment.best)
     catalogue_fits, quantified = tuple(map(in_catalogue_form, assessment.group)), assessment.quantified
     causes = ranked_causes(
-        search, best, model.candidates, catalogue_fits, assessment.chances, quantified.explained_fraction.held_out
+        search.fits, best, model.candidates, catalogue_fits, assessment.chances, quantified.explained_fraction.held_out
     )
     where = model.where(search, assessment, causes)
     on_progress("describing what is left")
@@ -291,7 +287,7 @@ def diagnose_with(
         hidden_fraction={i: hidden_fraction(assessment.group[0], i) for i in assessment.group[0].ids},
         explained_share=search.explained_share(best),
         mistakes=questions,
-        partial=partial_of(search, assessment),
+        partial=partial_of(search.fits, assessment.best) if assessment.is_partial else None,
         residual=residual,
         identifiability=identifiability.naming(best.ids),
         list_complete=assessment.list_complete,
@@ -303,11 +299,11 @@ def _propose_for_residual(
 ) -> NextExperiment | None:
     """Return the run that tells what is left from every cause near to it; None where nothing describes it."""
     rest, other_causes = (residual.fit, residual.other_causes) if residual is not None else (search.unmodelled, ())
-    if rest is None or assessment.verdict not in ("unknown", "explained_in_part"):
+    if rest is None or not assessment.is_partial:
         return None
     other_causes = other_causes or tuple(i for i in rest.ids if i in {effect.id for effect in search.candidates})
     entries = search.model.menu(search.start)
-    proposed = propose_for_unmodelled(entries, search, rest, other_causes) if entries else None
+    proposed = propose_for_unmodelled(entries, search.fits, rest, other_causes) if entries else None
     return None if proposed is None or proposed.profile == "none" else proposed
 
 
@@ -328,6 +324,11 @@ class Assessment:
     verdict: DiagnosisVerdict
     chances: dict[str, float]
     list_complete: float
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether a rest of the gap has no name."""
+        return self.verdict in ("unknown", "explained_in_part")
 
 
 def assess_search(search: Search) -> Assessment:

@@ -9,22 +9,46 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Generic, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from scipy.stats import t as student
 
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import energy, start_coordinates
+from softcal.core.gap.fit import fit, rows_of_runs
+from softcal.core.gap.hypothesis import start_coordinates
+from softcal.core.gap.linear import energy
 from softcal.core.gap.method import GapMethod
-from softcal.core.gap.problem import Problem, rows_of_runs
+from softcal.core.gap.model import Fit, Problem
 from softcal.core.gap.residual import ExplainedFraction
-from softcal.core.gap.simulator_reach import SimulatorTerm
 from softcal.core.recording import Array
-from softcal.core.twin.empirical_terms import EmpiricalTerm
+from softcal.core.twin.effects import Effect
 
-T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
-"""A term of a model: place += coefficient · variable."""
+
+class Term(Protocol):
+    """A term of a model: place += coefficient · variable."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def place(self) -> str: ...
+
+    @property
+    def variable(self) -> str: ...
+
+    @property
+    def coefficient(self) -> float: ...
+
+    @property
+    def unit(self) -> str: ...
+
+    @property
+    def formula(self) -> str: ...
+
+    @property
+    def effect(self) -> Effect: ...
+
+
+T = TypeVar("T", bound=Term)
 
 Cell: TypeAlias = tuple[int, int]
 """A run, and a quarter of it."""

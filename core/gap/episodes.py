@@ -7,11 +7,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.gap.case import Mask
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import energy, start_coordinates, wave_sums
-from softcal.core.gap.problem import Block, Episodes
-from softcal.core.recording import Array
+from softcal.core.gap.fit import fit
+from softcal.core.gap.hypothesis import Episodes, start_coordinates
+from softcal.core.gap.linear import energy, wave_sums
+from softcal.core.gap.model import Block, Fit
+from softcal.core.recording import Array, Mask
 from softcal.core.twin.effects import Effect, SearchTarget
 from softcal.core.twin.signals import compiled
 

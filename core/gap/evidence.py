@@ -8,98 +8,81 @@ part of every run, whatever the rest does. One that imitates takes a part, and a
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import expit, logit, softmax
 
-from softcal.core.gap.fit import Fit, Regime, Tangent, form_of, structure
-from softcal.core.gap.linear import energy, fit_scale, from_fit, orthonormal
+from softcal.core.gap.fit import Map, Regime, Tangent, exact_log_evidence, fit, form_of, share_of_gap, structure
+from softcal.core.gap.hypothesis import from_fit, start_coordinates
+from softcal.core.gap.linear import energy, orthonormal
 from softcal.core.gap.method import PresenceConfig
-from softcal.core.gap.model import FaultLocation, ParameterEstimate, Partial, RankedCause
-from softcal.core.messages.reason import Reason, reason
+from softcal.core.gap.model import Fit, Fits
+from softcal.core.messages.reason import Reason, reason, with_sentences
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect
+from softcal.core.twin.effects import Effect, Flow, Memory
 from softcal.core.unit.uncertainty import NORMAL_90
-
-if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Assessment
-    from softcal.core.gap.search import Search
-
-Fits = Mapping[tuple[str, ...], Fit]
-
-
-def misfit(excess: float, modes: float) -> float:
-    """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
-
-    The difference between equation and rig is that many normal coordinates of unknown common size, at the
-    size that fits best. A large excess counts by its logarithm: by which factor a hypothesis lowers
-    what the others leave, not how many σ that is.
-    """
-    return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))
 
 
 @dataclass(frozen=True)
-class Yardstick:
-    """χ² of the hypothesis that comes closest, and of the structure even this one may leave."""
+class ParameterEstimate:
+    """A fitted parameter of an effect with its 90 % interval."""
 
-    chi2: float
-    noise_floor: float
-
-    @classmethod
-    def of(cls, fits: Iterable[Fit]) -> "Yardstick":
-        """Take the measure from fits under one noise level."""
-        every = list(fits)
-        config = every[0].problem.method.evidence
-        closest = min(every, key=lambda f: f.chi2)
-        residual, gap = structure(closest), max(f.chi2 for f in every) - closest.chi2
-        structured = residual.rms**2 * closest.problem.count if residual.is_significant else 0.0
-        driven = config.driven_cost if closest.problem.is_driven_by_force else 0.0
-        return cls(closest.chi2, max(structured, config.exactness * gap, driven))
-
-    def log_evidence(self, result: Fit) -> float:
-        """Return the logarithm of prior times evidence of a hypothesis."""
-        modes = result.problem.method.evidence.modes
-        return -0.5 * (misfit(max(result.chi2 - self.chi2, 0.0) + self.noise_floor, modes) + penalty(result))
+    value: float
+    low: float
+    high: float
+    unit: str
 
 
-def exact_log_evidence(result: Fit) -> float:
-    """Return the logarithm of prior times evidence of a hypothesis whose equations hold exactly."""
-    return -0.5 * (result.chi2 + penalty(result))
+@dataclass(frozen=True)
+class RankedCause:
+    """One effect of the catalogue and how it stands.
 
-
-def penalty(result: Fit) -> float:
-    """Return the penalty where a loose lead is one cause, however often it gaps.
-
-    Each episode was paid for in full when it was placed. A size that these runs hardly determine pays
-    less than Schwarz's ln n: −2·ln of posterior over prior (Laplace). An unusual size is less likely.
+    Args:
+        shrink: share of the gap that goes with it, of what the set takes; None where it is not in the set.
+        parameters: by the catalogue's equation; empty where no hypothesis has it.
+        form: the other equation that fits better, empty where the catalogue's does.
+        alone, added: share of the gap that goes with it alone, and that comes back without it; None where not fitted.
     """
-    problem, log_count = result.problem, float(np.log(result.problem.count))
-    config = problem.method.evidence
-    more = max(result.hypothesis.episode_count - 1, 0)
-    cheaper = more * (config.episode_cost - config.further_episode_cost) * log_count
-    if problem.is_driven_by_force:
-        # What its noise feigns is in the floor already.
-        cheaper += config.driven_cost * len(result.ids)
-    spared, unusual, on_bound = 0.0, 0.0, 0
-    for effect, values in zip(result.effects, result.effect_values, strict=True):
-        size, at = problem.scale.sized(effect.parameters[0]), result.hypothesis.index_of(effect.id)
-        ends = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
-        on_bound += size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in ends)
-        variance = 0.0 if problem.is_driven_by_force else float(result.covariance[at, at])
-        if variance > 0.0 and not effect.is_episodic:
-            width = config.usual_range * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
-            spared += size.weight * max(0.0, log_count - 2.0 * float(np.log(max(width, 1.0))))
-        if size.neutral == 0.0:
-            # Of two sets that these runs cannot tell apart the one of usual sizes is likelier: Cauchy's prior.
-            unusual += 2.0 * float(np.log1p((values[0] / (config.usual_range * size.usual)) ** 2))
-    return result.penalty - (cheaper + spared) + unusual + config.bound_cost * on_bound
+
+    effect: str
+    stage: str
+    probability: float
+    shrink: float | None
+    parameters: dict[str, ParameterEstimate]
+    form: str = ""
+    alone: float | None = None
+    added: float | None = None
 
 
-def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
-    """Return the log of prior times evidence of every hypothesis, all under one noise level."""
-    yardstick = Yardstick.of(fits.values())
-    return {ids: yardstick.log_evidence(result) for ids, result in fits.items()}
+@dataclass(frozen=True)
+class FaultLocation:
+    """One line of where the gap lies."""
+
+    stage: str
+    channel: str
+    regime: Reason
+    share: float
+    detail: Reason = Reason("gap.map.none")
+
+    def record(self) -> dict[str, object]:
+        return with_sentences(vars(self), "regime", "detail")
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the gap lies: places, the regimes in which it stands out, and what relations fitted alone leave."""
+
+    locations: tuple[FaultLocation, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+    maps: tuple[Map, ...] = ()
+
+
+@dataclass(frozen=True)
+class Partial:
+    """The causes that come nearest where nothing explains the gap, and their share of it."""
+
+    effects: tuple[str, ...]
+    share: float
 
 
 def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str]) -> dict[str, float]:
@@ -332,46 +315,44 @@ def regime_locations(stage: str, regimes: Sequence[Regime], code: str) -> list[F
     ]
 
 
-def partial_of(search: "Search", assessment: "Assessment") -> Partial | None:
-    """Return the set and its share of the gap where a rest is left; what comes nearest where no set stands."""
-    if assessment.verdict not in ("unknown", "explained_in_part"):
-        return None
-    closest = assessment.best if assessment.best.ids else nearest(search)
-    share = search.explained_share(closest)
+def partial_of(fits: Fits, best: Fit) -> Partial | None:
+    """Return the best set and its share of the gap; what comes nearest where no set stands."""
+    closest = best if best.ids else nearest(fits)
+    share = float(np.clip(share_of_gap(fits[()], closest), 0.0, 1.0))
     return Partial(closest.ids, share) if closest.ids and share > 0.0 else None
 
 
-def nearest(search: "Search") -> Fit:
+def nearest(fits: Fits) -> Fit:
     """Return the simplest hypothesis that takes nearly the most of the gap away."""
-    max_share = max(search.share(result) for result in search.fits.values())
-    fits = list(search.fits.values())
-    enough = max_share - fits[0].problem.method.verdict.near_share
-    near = [result for result in fits if search.share(result) >= enough]
+    base = fits[()]
+    enough = max(share_of_gap(base, f) for f in fits.values()) - base.problem.method.verdict.near_share
+    near = [result for result in fits.values() if share_of_gap(base, result) >= enough]
     return min(near, key=lambda result: (len(result.ids), result.chi2))
 
 
 def ranked_causes(
-    search: "Search",
+    fits: Fits,
     best: Fit,
     effects: Sequence[Effect],
-    fits: tuple[Fit, ...],
+    reported: tuple[Fit, ...],
     chances: dict[str, float],
     explained_fraction: float,
 ) -> tuple[RankedCause, ...]:
     """Return every effect with how it stands, the likeliest first.
 
     Args:
-        fits: where parameters are taken from, the first that has them; else from the effect alone.
+        fits: of all hypotheses, by their causes.
+        reported: where parameters are taken from, the first that has them; else from the effect alone.
         explained_fraction: share of the gap that goes on samples held back, split among the best causes.
     """
-    ids = best.ids
-    excess = max(search.base.chi2 - search.base.problem.count, 0.0)
-    one_less = {i: search.fits.get(tuple(j for j in ids if j != i)) for i in ids}
+    ids, base = best.ids, fits[()]
+    excess = max(base.chi2 - base.problem.count, 0.0)
+    one_less = {i: fits.get(tuple(j for j in ids if j != i)) for i in ids}
     # The explained χ² is split among several causes: the mean of adding each first and last.
     worth = dict.fromkeys(ids, 1.0)
     for effect_id in ids if len(ids) > 1 else ():
-        alone, rest = search.fits.get((effect_id,)), one_less[effect_id]
-        first = search.base.chi2 - alone.chi2 if alone else 0.0
+        alone, rest = fits.get((effect_id,)), one_less[effect_id]
+        first = base.chi2 - alone.chi2 if alone else 0.0
         last = rest.chi2 - best.chi2 if rest else 0.0
         worth[effect_id] = max(0.5 * (first + last), 0.0)
     total = sum(worth.values()) or 1.0
@@ -383,7 +364,7 @@ def ranked_causes(
         return float(np.clip((worse.chi2 - better.chi2) / excess, 0.0, 1.0))
 
     def cause(effect: Effect) -> RankedCause:
-        result = next((f for f in fits if effect.id in f.ids), search.fits.get((effect.id,)))
+        result = next((f for f in reported if effect.id in f.ids), fits.get((effect.id,)))
         return RankedCause(
             effect.id,
             effect.stage,
@@ -391,8 +372,58 @@ def ranked_causes(
             worth[effect.id] / total * explained_fraction if effect.id in worth else None,
             estimates_of(result, effect.id) if result is not None else {},
             forms.get(effect.id, ""),
-            alone=share_of(search.fits.get((effect.id,)), search.base),
+            alone=share_of(fits.get((effect.id,)), base),
             added=share_of(best, one_less.get(effect.id)),
         )
 
     return tuple(sorted(map(cause, effects), key=lambda c: (-c.probability, -(c.shrink or 0.0))))
+
+
+def in_catalogue_form(result: Fit) -> Fit:
+    """Return the fit with every cause by the catalogue's equation; itself where it already is."""
+    listed = {e.id: e for e in result.problem.model.candidates}
+    effects = tuple(listed[e.id] if form_of(result, e) else e for e in result.effects)
+    if effects == result.effects:
+        return result
+    rows = []
+    for effect, fitted, values in zip(effects, result.effects, result.effect_values, strict=True):
+        values_by_name = {p.name: v for p, v in zip(fitted.parameters, values, strict=True)}
+        rows.append([values_by_name.get(p.name, p.usual) for p in effect.parameters])
+    start = np.append(result.coordinates[result.hypothesis.of_base], start_coordinates(effects, rows))
+    return fit(result.problem, replace(result.hypothesis, effects=effects), start, steps=40)
+
+
+def with_constants(result: Fit) -> Fit:
+    """Return the fit with the constants of every form set to one value for all runs.
+
+    A fit reads them off each run: its largest force, of which strokes are shares. A twin has one number,
+    the largest of the runs. Base and causes are refitted with it.
+    """
+    effects = result.effects
+    if not any(_is_open(effect) for effect in effects):
+        return result
+    maxima = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
+
+    def record_maxima(effect: Effect) -> Effect:
+        largest = maxima[effect.id]
+
+        def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
+            effect.step(flow, values, state)
+            largest.update({name: max(maximum, float(state[name][0])) for name, maximum in largest.items()})
+
+        return replace(effect, step=step)
+
+    def fix_maxima(effect: Effect) -> Effect:
+        def step(flow: Flow, parameters: Sequence[float], state: Memory) -> None:
+            effect.step(flow, (*parameters, *maxima[effect.id].values()), state)
+
+        return replace(effect, step=step, constants=tuple(maxima[effect.id].items()))
+
+    open_ = tuple(record_maxima(e) if _is_open(e) else e for e in effects)
+    result.problem.bare.predict(replace(result.hypothesis, effects=open_), result.coordinates)
+    closed = tuple(fix_maxima(e) if _is_open(e) else e for e in effects)
+    return fit(result.problem, replace(result.hypothesis, effects=closed), result.coordinates, steps=40)
+
+
+def _is_open(effect: Effect) -> bool:
+    return any(not np.isfinite(value) for _, value in effect.constants)

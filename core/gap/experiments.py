@@ -7,21 +7,18 @@ the others nor what each run may have of its own can imitate, in standard deviat
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softcal.core.gap.case import MenuEntry, Run
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import energy, fit_scale, gram, start_coordinates
+from softcal.core.gap.fit import fit, nuisance_rows
+from softcal.core.gap.hypothesis import fit_scale, start_coordinates
+from softcal.core.gap.linear import energy, gram
 from softcal.core.gap.method import IdentifiabilityConfig
-from softcal.core.gap.problem import Problem, nuisance_rows
+from softcal.core.gap.model import Fit, Fits, Problem
 from softcal.core.messages.reason import Reason, reason, several, with_sentences
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
-
-if TYPE_CHECKING:
-    from softcal.core.gap.search import Search
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ def propose_experiment(
 
 
 def propose_for_unmodelled(
-    entries: Sequence[MenuEntry], search: "Search", rest: Fit, causes: Sequence[str]
+    entries: Sequence[MenuEntry], fits: Fits, rest: Fit, causes: Sequence[str]
 ) -> NextExperiment:
     """Return the entry that tells a rest, by its own law, from the causes that come nearest to it.
 
@@ -77,7 +74,7 @@ def propose_for_unmodelled(
         rest: a hypothesis of the causes `causes` and of what describes the rest.
     """
     max_count = rest.problem.method.rival.most
-    larger = [f for f in search.fits.values() if set(f.ids) > set(causes) and len(f.ids) == len(causes) + 1]
+    larger = [f for f in fits.values() if set(f.ids) > set(causes) and len(f.ids) == len(causes) + 1]
     nearest = sorted(larger, key=lambda result: result.chi2)[:max_count]
     if not (entries and nearest):
         return NextExperiment("none", Reason("gap.next.no_gap"))

@@ -1,104 +1,23 @@
 """Fit base parameters and effects jointly to all runs; where a fit can move; the structure that it leaves."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from softcal.core.gap.linear import DIFFERENCE, energy, fit_scale, gram, start_coordinates, to_fit
-from softcal.core.gap.problem import Around, Block, Hypothesis, Problem
+from softcal.core.gap.hypothesis import DIFFERENCE, Hypothesis, Probe, fit_scale, start_coordinates, to_fit
+from softcal.core.gap.linear import energy, gram
+from softcal.core.gap.model import Around, Block, Directions, Fit, Fits, Problem
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
-from softcal.core.twin.parameters import BaseParameters
 
 TOLERANCE = 0.02
 """A step that gains less than this in χ² is the last."""
 
 TRIES = 6
 """Steps tried from one place, each damped more than the one before."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A hypothesis at its best parameters.
-
-    Args:
-        chi2: sum of squared residuals over σ², over the samples the fit saw.
-        slopes: (parameters, samples) derivative of the prediction; rows that were held fixed are 0.
-    """
-
-    problem: Problem
-    hypothesis: Hypothesis
-    coordinates: Array
-    predicted: Array
-    chi2: float
-    slopes: Array = field(repr=False)
-
-    @cached_property
-    def jacobian(self) -> Array:
-        """(parameters, samples + priors) derivative of the whitened prediction; rows held fixed are 0."""
-        return self.problem.jacobian(self.slopes)
-
-    @cached_property
-    def base(self) -> BaseParameters:
-        """The base parameters of the twin."""
-        return BaseParameters(*self.hypothesis.split(self.coordinates)[0])
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """Identifiers of the causes, sorted."""
-        return self.hypothesis.ids
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects on top of the base."""
-        return self.hypothesis.effects
-
-    @cached_property
-    def effect_values(self) -> list[list[float]]:
-        return self.hypothesis.split(self.coordinates)[1]
-
-    @cached_property
-    def residual(self) -> Array:
-        """(samples + priors,) measured − predicted, whitened: in white noise over σ."""
-        return self.problem.residual(self.predicted, self.coordinates)
-
-    @cached_property
-    def covariance(self) -> Array:
-        """(parameters, parameters) of the coordinates; rows of fixed parameters are 0."""
-        normal = gram(self.jacobian)
-        free = np.flatnonzero(np.diag(normal) > 0)
-        covariance = np.zeros_like(normal)
-        size = np.sqrt(np.diag(normal)[free])
-        # Two parameters that these samples cannot tell apart make the matrix singular: an inverse would fail. Each is
-        # counted in its own error, so that what is singular does not depend on its unit.
-        covariance[np.ix_(free, free)] = np.linalg.pinv(
-            normal[np.ix_(free, free)] / np.outer(size, size), rcond=1e-12, hermitian=True
-        ) / np.outer(size, size)
-        return covariance
-
-    def under(self, problem: Problem) -> "Fit":
-        """Return the same parameters scored under another noise level."""
-        return replace(self, problem=problem, chi2=energy(problem.residual(self.predicted, self.coordinates)))
-
-    @property
-    def penalty(self) -> float:
-        """p·ln(n) of Schwarz for the flexibility, and −2·ln of the prior odds of the causes."""
-        # Many causes are tried: without prior odds the luckiest would often win by chance.
-        evidence = self.problem.method.evidence
-        each = -2.0 * float(np.log(evidence.prior_odds))
-        each += evidence.driven_cost if self.problem.is_driven_by_force else 0.0
-        # An episode counts as many parameters, for it was searched for all over the runs.
-        added = sum(p.weight for effect in self.effects for p in effect.parameters)
-        count = int(self.problem.is_free.sum()) + added + evidence.episode_cost * self.hypothesis.episode_count
-        return count * float(np.log(self.problem.count)) + each * len(self.ids)
-
-    @property
-    def bic(self) -> float:
-        """χ² + penalty, −2 times the log evidence in white noise of known size."""
-        return self.chi2 + self.penalty
 
 
 def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20) -> Fit:
@@ -198,15 +117,6 @@ class _Space:
                 break
             free &= ~on_bound
         return candidate
-
-
-@dataclass(frozen=True)
-class Probe:
-    """An effect at a small size and one shape, to see which way it would move the prediction."""
-
-    effect: Effect
-    values: tuple[float, ...]
-    is_one_sided: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,3 +274,118 @@ def form_of(result: Fit, effect: Effect) -> str:
     """Return the form by which an effect of a fit acts, empty for the list's own equation."""
     names = (form.effect.equation for form in result.problem.model.forms_of(effect.id))
     return effect.equation if effect.equation in names else ""
+
+
+def rows_of_runs(problem: Problem, directions: "Directions") -> dict[int, Array]:
+    """Return by run, (k, samples), how a prediction changes with its offsets; 0 in other runs."""
+    out: dict[int, Array] = {}
+    for block, rows in zip(problem.blocks, directions, strict=True):
+        if rows is not None:
+            out.setdefault(block.run, np.zeros((len(rows), len(problem.measured))))[:, block.rows] = rows
+    return out
+
+
+def nuisance_rows(problem: Problem, directions: "Directions") -> tuple[list[Array], tuple[int, ...]]:
+    """Return (samples,) rows along which runs may move on their own, and the kind of each.
+
+    Of what is relative they move by what they differ by alone; one run alone by all of it.
+    """
+    of_run = rows_of_runs(problem, directions).values()
+    out: list[Array] = []
+    kinds: list[int] = []
+    for kind, is_relative in enumerate(problem.are_relative):
+        each = [rows[kind] for rows in of_run if rows[kind].any()]
+        if is_relative and not problem.case.is_planned:
+            each = [row - each[0] for row in each[1:]]
+        out, kinds = out + each, kinds + [kind] * len(each)
+    return out, tuple(kinds)
+
+
+def misfit(excess: float, modes: float) -> float:
+    """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
+
+    The difference between equation and rig is that many normal coordinates of unknown common size, at the
+    size that fits best. A large excess counts by its logarithm: by which factor a hypothesis lowers
+    what the others leave, not how many σ that is.
+    """
+    return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """χ² of the hypothesis that comes closest, and of the structure even this one may leave."""
+
+    chi2: float
+    noise_floor: float
+
+    @classmethod
+    def of(cls, fits: Iterable[Fit]) -> "Yardstick":
+        """Take the measure from fits under one noise level."""
+        every = list(fits)
+        config = every[0].problem.method.evidence
+        closest = min(every, key=lambda f: f.chi2)
+        residual, gap = structure(closest), max(f.chi2 for f in every) - closest.chi2
+        structured = residual.rms**2 * closest.problem.count if residual.is_significant else 0.0
+        driven = config.driven_cost if closest.problem.is_driven_by_force else 0.0
+        return cls(closest.chi2, max(structured, config.exactness * gap, driven))
+
+    def log_evidence(self, result: Fit) -> float:
+        """Return the logarithm of prior times evidence of a hypothesis."""
+        modes = result.problem.method.evidence.modes
+        return -0.5 * (misfit(max(result.chi2 - self.chi2, 0.0) + self.noise_floor, modes) + penalty(result))
+
+
+def exact_log_evidence(result: Fit) -> float:
+    """Return the logarithm of prior times evidence of a hypothesis whose equations hold exactly."""
+    return -0.5 * (result.chi2 + penalty(result))
+
+
+def penalty(result: Fit) -> float:
+    """Return the penalty where a loose lead is one cause, however often it gaps.
+
+    Each episode was paid for in full when it was placed. A size that these runs hardly determine pays
+    less than Schwarz's ln n: −2·ln of posterior over prior (Laplace). An unusual size is less likely.
+    """
+    problem, log_count = result.problem, float(np.log(result.problem.count))
+    config = problem.method.evidence
+    more = max(result.hypothesis.episode_count - 1, 0)
+    cheaper = more * (config.episode_cost - config.further_episode_cost) * log_count
+    if problem.is_driven_by_force:
+        # What its noise feigns is in the floor already.
+        cheaper += config.driven_cost * len(result.ids)
+    spared, unusual, on_bound = 0.0, 0.0, 0
+    for effect, values in zip(result.effects, result.effect_values, strict=True):
+        size, at = problem.scale.sized(effect.parameters[0]), result.hypothesis.index_of(effect.id)
+        ends = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
+        on_bound += size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in ends)
+        variance = 0.0 if problem.is_driven_by_force else float(result.covariance[at, at])
+        if variance > 0.0 and not effect.is_episodic:
+            width = config.usual_range * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
+            spared += size.weight * max(0.0, log_count - 2.0 * float(np.log(max(width, 1.0))))
+        if size.neutral == 0.0:
+            # Of two sets that these runs cannot tell apart the one of usual sizes is likelier: Cauchy's prior.
+            unusual += 2.0 * float(np.log1p((values[0] / (config.usual_range * size.usual)) ** 2))
+    return result.penalty - (cheaper + spared) + unusual + config.bound_cost * on_bound
+
+
+def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
+    """Return the log of prior times evidence of every hypothesis, all under one noise level."""
+    yardstick = Yardstick.of(fits.values())
+    return {ids: yardstick.log_evidence(result) for ids, result in fits.items()}
+
+
+def leader_of(fits: Fits) -> Fit:
+    """Return the hypothesis of best evidence in white noise: the one to grow further."""
+    return min(fits.values(), key=lambda f: f.bic)
+
+
+def one_less(fits: Fits, result: Fit) -> dict[str, Fit]:
+    """Return the fits without each of the causes of a hypothesis, by that cause."""
+    ids = result.ids
+    return {i: fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in fits}
+
+
+def share_of_gap(base: Fit, result: Fit) -> float:
+    """Return which share of the excess of the base over the noise a hypothesis takes away."""
+    excess = base.chi2 - base.problem.count
+    return 1.0 - (result.chi2 - result.problem.count) / excess if excess > 0 else 1.0

@@ -8,117 +8,14 @@ filter turns the sum into independent values of variance 1; it is the exact like
 samples left out (Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, ch. 12).
 """
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.recording import Array, Mask
 from softcal.core.twin.signals import compiled
-
-if TYPE_CHECKING:
-    from softcal.core.gap.case import Case
-
-DIFFERENCE = 2e-4
-"""Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known of a base parameter before any run: which one, its mean and SD in coordinates of the fit."""
-
-    index: int
-    mean: float
-    sd: float
-
-
-LARGEST_LOG = float(np.log(np.finfo(np.float64).max))
-
-
-def to_fit(parameter: Parameter, value: float) -> float:
-    """Return the coordinate in which the fit moves this parameter."""
-    if parameter.scale == "log":
-        return float(np.log(value))
-    return 0.0 if np.isinf(value) else (1.0 / value**2 if parameter.scale == "inverse_square" else value)
-
-
-def from_fit(parameter: Parameter, coordinate: float) -> float:
-    """Return the physical value at this coordinate of the fit."""
-    if parameter.scale == "log":
-        return float(np.exp(min(coordinate, LARGEST_LOG)))
-    if parameter.scale == "inverse_square":
-        return float(coordinate**-0.5) if coordinate > 0 else float("inf")
-    return coordinate
-
-
-def fit_scale(parameter: Parameter) -> float:
-    """Return a natural step of this parameter in the coordinates of the fit."""
-    if parameter.scale == "log":
-        return 1.0
-    # What is usually 0 tells no size; narrow bounds do.
-    return abs(to_fit(parameter, parameter.usual)) or min(1.0, 0.1 * (parameter.high - parameter.low))
-
-
-def start_coordinates(effects: Sequence[Effect], values: Sequence[Sequence[float]]) -> Array:
-    """Return the coordinates of effect values, to be put after those of a base."""
-    return np.array(
-        [
-            to_fit(p, v)
-            for effect, row in zip(effects, values, strict=True)
-            for p, v in zip(effect.parameters, row, strict=True)
-        ]
-    )
-
-
-COMMON = {"N": 8.0, "mm": 3.0, "ohm": 10.0, "V": 4.0}
-"""Force, stroke, series resistor and supply of the rig of the catalogue's bounds."""
-
-FACTOR = re.compile(r"(N|mm|ohm|V|s|K|Hz|rad|1)([²³]?)")
-POWERS = {"": 1, "²": 2, "³": 3}
-
-
-@dataclass(frozen=True)
-class RigScale:
-    """How large a rig is against the common one, by unit; other units are not scaled."""
-
-    sizes: tuple[tuple[str, float], ...] = ()
-
-    @classmethod
-    def of(cls, case: "Case") -> "RigScale":
-        """Read force and stroke off the runs that are pressed, the others off the metadata."""
-        spans = {}
-        for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):
-            span = max((float(np.ptp(v)) for v in case.recorded(channel)), default=0.0)
-            spans[unit] = span / COMMON[unit] or None
-        # Without a cell, or without a stage, the pad is as stiff as the common one.
-        positive_sizes = [size for size in spans.values() if size]
-        common = positive_sizes[0] if positive_sizes else 1.0
-        readout = case.readout
-        sizes = {unit: size or common for unit, size in spans.items()}
-        sizes |= {"ohm": readout.r_series_ohm / COMMON["ohm"], "V": readout.vref_V / COMMON["V"]}
-        return cls(tuple(sizes.items()))
-
-    def factor(self, unit: str) -> float:
-        """Return by what a quantity of this unit, as `N/mm³`, is larger than on the common rig."""
-        sizes, (over, _, under) = dict(self.sizes), unit.partition("/")
-        matches = [FACTOR.fullmatch(part.strip()) for part in (over, under)]
-        times, per = (sizes.get(one[1], 1.0) ** POWERS[one[2]] if one else 1.0 for one in matches)
-        return times / per
-
-    def sized(self, parameter: Parameter) -> Parameter:
-        """Return a parameter with the bounds and the usual size that it has on this rig."""
-        return _sized(self, parameter)
-
-
-@lru_cache(maxsize=4096)
-def _sized(scale: RigScale, parameter: Parameter) -> Parameter:
-    factor = scale.factor(parameter.unit)
-    return replace(parameter, low=factor * parameter.low, high=factor * parameter.high, usual=factor * parameter.usual)
 
 
 def gram(rows: Array) -> Array:
@@ -162,7 +59,7 @@ def orthonormal(rows: Array, min_strength: float = 1e-6) -> Array:
     return np.asarray((axes[:, is_strong] / np.sqrt(strength[is_strong])).T @ unit)
 
 
-def bounded_sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
+def bounded_sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: Mask) -> Array:
     """Solve (runs, k, k) normal equations within bounds; a direction that a run lacks gets 0.
 
     Of those that are relative the middle run is taken off: one far off must not move the others.
@@ -217,12 +114,12 @@ class Noise:
 
 def log_likelihood(stretches: Sequence[Stretch], white: float, correlation: NoiseCorrelation) -> float:
     """Return the log likelihood of stretches under noise that is given."""
-    error, step_s, is_used = joined(stretches)
+    error, step_s, is_used = join_stretches(stretches)
     squares, log_det = noise_terms(error, step_s, is_used, correlation.spread / white, correlation.fading_s)
     return -0.5 * (squares / white**2 + log_det + float(is_used.sum()) * 2.0 * float(np.log(white)))
 
 
-def joined(stretches: Sequence[Stretch]) -> tuple[Array, Array, Array]:
+def join_stretches(stretches: Sequence[Stretch]) -> tuple[Array, Array, Array]:
     """Return errors, steps of time and uses, (n,) each, of stretches one after the other, for ever apart."""
     steps = [np.append(np.inf, s.step_s[1:]) for s in stretches]
     return (

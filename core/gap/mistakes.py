@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, product
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -29,16 +29,15 @@ from softcal.core.gap.case import (
     of_sign,
     of_unit,
 )
-from softcal.core.gap.fit import Fit, Tangent, fit
+from softcal.core.gap.fit import Tangent, fit
 from softcal.core.gap.linear import energy, gram
 from softcal.core.gap.method import MistakeConfig
+from softcal.core.gap.model import Fit
+from softcal.core.gap.search import Search
 from softcal.core.gap.twin_reach import changing
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import RATE_TOLERANCE, Array
 from softcal.core.twin.effects import Effect, Hook, Parameter
-
-if TYPE_CHECKING:
-    from softcal.core.gap.search import Search
 
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 

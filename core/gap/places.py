@@ -10,26 +10,22 @@ The explained twin, for station and simulated lots, is the refitted base with th
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.fit import Fit, Map, Regime, fit, form_of, shares_of_gap
-from softcal.core.gap.linear import start_coordinates
-from softcal.core.gap.problem import Block
+from softcal.core.gap.evidence import with_constants
+from softcal.core.gap.fit import Map, Regime, form_of, shares_of_gap
+from softcal.core.gap.model import Block, Fit
 from softcal.core.gap.twin_reach import dither_of
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.profiles import pressed
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import ChainStage, Effect, Flow, Memory, SearchTarget
+from softcal.core.twin.effects import ChainStage, SearchTarget
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.parameters import SensorType
 from softcal.core.twin.simulate import EffectSetting, Twin
-
-if TYPE_CHECKING:
-    pass
 
 TIED = 1e-6
 """Share of the largest speed by which two samples of one ramp differ in rounding alone."""
@@ -381,53 +377,3 @@ def explained_twin(result: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
 
 def _noise_floor(result: Fit, channel: str) -> float:
     return result.problem.noise_floor(channel) if channel in result.problem.sigma else 0.0
-
-
-def in_catalogue_form(result: Fit) -> Fit:
-    """Return the fit with every cause by the catalogue's equation; itself where it already is."""
-    listed = {e.id: e for e in result.problem.model.candidates}
-    effects = tuple(listed[e.id] if form_of(result, e) else e for e in result.effects)
-    if effects == result.effects:
-        return result
-    rows = []
-    for effect, fitted, values in zip(effects, result.effects, result.effect_values, strict=True):
-        values_by_name = {p.name: v for p, v in zip(fitted.parameters, values, strict=True)}
-        rows.append([values_by_name.get(p.name, p.usual) for p in effect.parameters])
-    start = np.append(result.coordinates[result.hypothesis.of_base], start_coordinates(effects, rows))
-    return fit(result.problem, replace(result.hypothesis, effects=effects), start, steps=40)
-
-
-def with_constants(result: Fit) -> Fit:
-    """Return the fit with the constants of every form set to one value for all runs.
-
-    A fit reads them off each run: its largest force, of which strokes are shares. A twin has one number,
-    the largest of the runs. Base and causes are refitted with it.
-    """
-    effects = result.effects
-    if not any(_is_open(effect) for effect in effects):
-        return result
-    maxima = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
-
-    def record_maxima(effect: Effect) -> Effect:
-        largest = maxima[effect.id]
-
-        def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
-            effect.step(flow, values, state)
-            largest.update({name: max(maximum, float(state[name][0])) for name, maximum in largest.items()})
-
-        return replace(effect, step=step)
-
-    def fix_maxima(effect: Effect) -> Effect:
-        def step(flow: Flow, parameters: Sequence[float], state: Memory) -> None:
-            effect.step(flow, (*parameters, *maxima[effect.id].values()), state)
-
-        return replace(effect, step=step, constants=tuple(maxima[effect.id].items()))
-
-    open_ = tuple(record_maxima(e) if _is_open(e) else e for e in effects)
-    result.problem.bare.predict(replace(result.hypothesis, effects=open_), result.coordinates)
-    closed = tuple(fix_maxima(e) if _is_open(e) else e for e in effects)
-    return fit(result.problem, replace(result.hypothesis, effects=closed), result.coordinates, steps=40)
-
-
-def _is_open(effect: Effect) -> bool:
-    return any(not np.isfinite(value) for _, value in effect.constants)

@@ -15,22 +15,22 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
 
-from softcal.core.gap.case import HALF_WIDTH, Mask
-from softcal.core.gap.evidence import Yardstick
-from softcal.core.gap.fit import Fit, fit, form_of
+from softcal.core.gap.case import HALF_WIDTH
+from softcal.core.gap.fit import Yardstick, fit, form_of
+from softcal.core.gap.hypothesis import Hypothesis
 from softcal.core.gap.linear import (
     Noise,
     NoiseCorrelation,
     Stretch,
     energy,
-    joined,
+    join_stretches,
     log_likelihood,
     noise_terms,
     projected,
 )
 from softcal.core.gap.method import ExplainedFractionConfig, NoiseCorrelationConfig
-from softcal.core.gap.problem import Block, Hypothesis, Problem
-from softcal.core.recording import Array
+from softcal.core.gap.model import Block, Fit, Problem
+from softcal.core.recording import Array, Mask
 
 TRIMMED = 0.02
 """Share of squared differences, the largest, left out of a noise estimate: steps are not noise."""
@@ -139,7 +139,7 @@ def _stretch(result: Fit, block: Block, is_used: Array | None = None) -> Stretch
 
 def read_noise(stretches: Sequence[Stretch], config: NoiseCorrelationConfig) -> Noise:
     """Return the likeliest noise; the white part sets the scale: two numbers are searched for."""
-    error, step_s, is_used = joined(stretches)
+    error, step_s, is_used = join_stretches(stretches)
     count = max(float(is_used.sum()), 1.0)
 
     def scale(ratio: float, fading_s: float) -> tuple[float, float]:

@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from softcal.core.gap.episodes import PLACERS, relocate_episodes
-from softcal.core.gap.evidence import Yardstick, log_evidences
-from softcal.core.gap.fit import Candidate, Fit, Probe, Tangent, fit
-from softcal.core.gap.linear import energy, from_fit, projected, start_coordinates, to_fit
+from softcal.core.gap.fit import Candidate, Tangent, Yardstick, fit, leader_of, log_evidences, one_less, share_of_gap
+from softcal.core.gap.hypothesis import Probe, from_fit, start_coordinates, to_fit
+from softcal.core.gap.linear import energy, projected
+from softcal.core.gap.model import Fit
 from softcal.core.gap.residual import is_noise, noise_of, with_correlated_noise, with_driving_noise
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, SearchTarget
@@ -28,7 +29,7 @@ MIN_GAIN_SHARE = 0.1
 """Share of the promised drop of χ² that a fit must bring, or it begins once more."""
 
 
-def joined(parent: Fit, candidate: Candidate, steps: int = 20) -> Fit:
+def fit_jointly(parent: Fit, candidate: Candidate, steps: int = 20) -> Fit:
     """Fit an effect jointly with its parent, from other starts too where the first leads nowhere.
 
     A step along the slopes ends far off where the surface bends; an effect nearly off can only gain.
@@ -116,7 +117,8 @@ class Search:
             # Several are grown on: the right pair often begins with the second-best single cause.
             parents = ranked[: self._config.beam[size - 1]]
         if not self.model.is_clean(self.leader):
-            self.model.start_again(self)
+            self.on_progress("fitting the likeliest causes from other starts")
+            self.model.start_again(self.base, self.candidates, self.fits, self.store)
             self.settle_noise()
         # Smaller hypotheses get the episodes that the closest one has: places are no cause.
         donor = self.closest
@@ -171,8 +173,7 @@ class Search:
 
     def one_less(self, result: Fit) -> dict[str, Fit]:
         """Return the fits without each of the causes of a hypothesis, by that cause."""
-        ids = result.ids
-        return {i: self.fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in self.fits}
+        return one_less(self.fits, result)
 
     def _test_further_effects(self) -> None:
         """Fit what may stand beside the best hypothesis: small or hidden effects."""
@@ -181,7 +182,7 @@ class Search:
             if not parent.ids:
                 return
             larger = [
-                joined(parent, candidate, steps=40)
+                fit_jointly(parent, candidate, steps=40)
                 for candidate in screen(parent, self._probes)
                 if candidate.gain > self._config.beside or candidate.hidden > self._config.hiding
             ]
@@ -209,8 +210,7 @@ class Search:
 
     def share(self, result: Fit) -> float:
         """Return which share of the excess of the base over the noise a hypothesis takes away."""
-        excess = self.base.chi2 - self.base.problem.count
-        return 1.0 - (result.chi2 - result.problem.count) / excess if excess > 0 else 1.0
+        return share_of_gap(self.base, result)
 
     def explained_share(self, result: Fit) -> float:
         """Return the share within [0, 1], as reports give it."""
@@ -231,7 +231,7 @@ class Search:
     @property
     def leader(self) -> Fit:
         """The hypothesis of best evidence in white noise: the one to grow further."""
-        return min(self.fits.values(), key=lambda f: f.bic)
+        return leader_of(self.fits)
 
     def _in_form(self, result: Fit, form: Form) -> Fit:
         at = [e.id for e in result.effects].index(form.effect.id)
@@ -255,7 +255,7 @@ class Search:
     def grown_from(self, parent: Fit) -> list[Fit]:
         """Return fits of another start with each of its likeliest effects; none is kept."""
         candidates = screen(parent, self._probes)[: self._config.leads[-1]]
-        return [joined(parent, candidate) for candidate in candidates] + self._grow_episodic(parent)
+        return [fit_jointly(parent, candidate) for candidate in candidates] + self._grow_episodic(parent)
 
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         candidates = screen(parent, self._probes)
@@ -268,7 +268,7 @@ class Search:
             for candidate in candidates[:count]
             if candidate.gain >= need and ids_with[candidate.effect.id] not in self.fits
         ]
-        children = [joined(parent, candidate) for candidate in new] + self._grow_episodic(parent)
+        children = [fit_jointly(parent, candidate) for candidate in new] + self._grow_episodic(parent)
         for child in children:
             self.store(child)
         return children
@@ -312,7 +312,7 @@ def best_unmodelled(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> F
         Probe(e, (problem.scale.sized(e.parameters[0]).usual,), e.is_one_sided)
         for e in problem.model.departures(problem.case)
     ]
-    joint_fits = [joined(parent, candidate) for parent in parents for candidate in screen(parent, probes)[:1]]
+    joint_fits = [fit_jointly(parent, candidate) for parent in parents for candidate in screen(parent, probes)[:1]]
     if not joint_fits:
         return None
     yardstick = Yardstick.of((*fits, *joint_fits))

@@ -24,8 +24,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Case, Run
-from softcal.core.gap.linear import DIFFERENCE, fit_scale, from_fit, to_fit
-from softcal.core.gap.problem import Hypothesis
+from softcal.core.gap.hypothesis import DIFFERENCE, Hypothesis, fit_scale, from_fit, to_fit
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
 from softcal.core.twin.parameters import ReadoutMetadata

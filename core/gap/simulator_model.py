@@ -1,30 +1,40 @@
 """A simulator of somebody else as the model of a diagnosis."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, cast
+from typing import cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-from softcal.core.gap.evidence import fault_locations, regime_locations, with_residual_location
+from softcal.core.gap.case import Case, DataMistake, MenuEntry, RigScale, Run
+from softcal.core.gap.diagnosis import Assessment, Checked, Diagnosis, ReportingModel, check_case, diagnose_with
+from softcal.core.gap.evidence import (
+    FaultLocation,
+    RankedCause,
+    Where,
+    fault_locations,
+    regime_locations,
+    with_residual_location,
+)
 from softcal.core.gap.experiments import NextExperiment, causes_of, propose_experiment, together
-from softcal.core.gap.fit import Fit, Probe, Tangent, fit, structure
-from softcal.core.gap.linear import COMMON_STEP_s, Prior, RigScale, energy, fit_scale, from_fit, to_fit
+from softcal.core.gap.fit import Tangent, fit, leader_of, rows_of_runs, structure
+from softcal.core.gap.hypothesis import Hypothesis, Prior, Probe, fit_scale, from_fit, to_fit
+from softcal.core.gap.linear import COMMON_STEP_s, energy
 from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
 from softcal.core.gap.mistakes import find_repeats
-from softcal.core.gap.model import Directions, FaultLocation, Model, RankedCause, Sizes, Where
-from softcal.core.gap.problem import Block, Hypothesis, Problem, rows_of_runs
+from softcal.core.gap.model import Block, Directions, Fit, Fits, Problem, Sizes
 from softcal.core.gap.residual import noise_chance, noise_levels, scatter_of
+from softcal.core.gap.search import Progress, Search
 from softcal.core.gap.simulator import (
     LINEAR,
     Columns,
     Simulator,
     SimulatorFailed,
     SimulatorRun,
+    check_calls,
     planned,
     runs_of,
 )
@@ -43,13 +53,9 @@ from softcal.core.gap.simulator_reach import (
 )
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import finite_or_none
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Mask
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.probes import ExcitationRange
-
-if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Assessment, Diagnosis
-    from softcal.core.gap.search import Search
 
 MAX_CACHED = 200
 """Answers of a simulator that are kept."""
@@ -135,11 +141,11 @@ def rows_over_bounds(effect: Effect) -> list[tuple[float, ...]]:
     return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, point, strict=True)) for point in points]
 
 
-def try_from_many_starts(search: "Search", effects: tuple[Effect, ...]) -> None:
-    """Fit effects jointly from several starts, and keep what is worth it."""
-    problem, hypothesis, fits = search.base.problem, search.base.hypothesis.adding(*effects), []
+def try_from_many_starts(base: Fit, effects: tuple[Effect, ...], fits: Fits, store: Callable[[Fit], None]) -> None:
+    """Fit effects jointly from several starts, and store what is worth it."""
+    problem, hypothesis, starting = base.problem, base.hypothesis.adding(*effects), list[Fit]()
     for effect in effects:
-        parent = search.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
+        parent = fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
         if parent is None:
             continue
         space = Tangent(parent)
@@ -148,15 +154,15 @@ def try_from_many_starts(search: "Search", effects: tuple[Effect, ...]) -> None:
         ]
         candidate = max((one for one in candidates if one is not None), key=lambda one: one.gain, default=None)
         if candidate is not None:
-            fits.append(fit(problem, parent.hypothesis.adding(effect), candidate.start(parent), steps=FIRST_STEPS))
+            starting.append(fit(problem, parent.hypothesis.adding(effect), candidate.start(parent), steps=FIRST_STEPS))
     samples = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
-    starts = [np.append(search.base.coordinates, values) for values in samples]
+    starts = [np.append(base.coordinates, values) for values in samples]
     likely = likeliest(problem, hypothesis, starts)[0]
-    best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda result: result.chi2)
+    best = min((*starting, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda result: result.chi2)
     # What is not better after a few steps than the best with one cause less is left there.
-    parts = [f.chi2 for ids, f in search.fits.items() if set(ids) < set(best.ids)]
-    if best.chi2 < min(parts) - problem.method.search.worth * max(search.base.chi2 - problem.count, 0.0):
-        search.store(fit(problem, best.hypothesis, best.coordinates, steps=60))
+    parts = [f.chi2 for ids, f in fits.items() if set(ids) < set(best.ids)]
+    if best.chi2 < min(parts) - problem.method.search.worth * max(base.chi2 - problem.count, 0.0):
+        store(fit(problem, best.hypothesis, best.coordinates, steps=60))
 
 
 @dataclass
@@ -180,7 +186,7 @@ class Calls:
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatorModel(Model):
+class SimulatorModel(ReportingModel):
     """A simulator with its candidates, and what it said of every case."""
 
     simulator: Simulator
@@ -441,18 +447,17 @@ class SimulatorModel(Model):
         excitation = ExcitationRange(1.0, 1.0, 0.0, 1.0, longest_s, float(np.median(runs[0].step_s[1:])))
         return tuple(Probe(c, row, c.is_one_sided) for c in effects for row in c.probes(excitation))
 
-    def start_again(self, search: "Search") -> None:
+    def start_again(self, base: Fit, candidates: Sequence[Effect], fits: Fits, store: Callable[[Fit], None]) -> None:
         """Fit every cause and every pair from several starts where structure is left.
 
         A level never reached promises nothing to first order; two causes may gain only together.
         """
-        search.on_progress("trying every cause, and every two, from several starts")
-        for effect in search.candidates:
-            try_from_many_starts(search, (effect,))
-        for pair in likely_pairs(search.base, search.candidates):
-            if self.is_clean(search.leader):
+        for effect in candidates:
+            try_from_many_starts(base, (effect,), fits, store)
+        for pair in likely_pairs(base, candidates):
+            if self.is_clean(leader_of(fits)):
                 break
-            try_from_many_starts(search, pair)
+            try_from_many_starts(base, pair, fits, store)
 
     def departures(self, case: Case) -> tuple[Effect, ...]:
         return ()
@@ -539,3 +544,39 @@ class SimulatorModel(Model):
     def _parameters(self, result: Fit) -> dict[str, float | None]:
         values = self.simulator.parameter_values(result.hypothesis, result.coordinates)
         return {name: finite_or_none(value) for name, value in values.items()}
+
+
+def diagnose_simulator(
+    simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "", progress: Progress | None = None
+) -> Diagnosis[SimulatorModel]:
+    """Diagnose the gap between a simulator and recordings of what it simulates.
+
+    Args:
+        runs: made by `recorded`.
+
+    Raises:
+        InputError: no run, or the simulator gives something else than finite channels.
+    """
+    on_progress = progress or (lambda _: None)
+    on_progress("calling the simulator a few times")
+    return diagnose_with(*_called(simulator, runs, serial), on_progress)
+
+
+def _called(simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "") -> tuple[SimulatorModel, Case]:
+    if not runs:
+        raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
+    names = [run.name for run in runs]
+    if len(set(names)) < len(names):
+        raise InputError(f"simulator {simulator.name}: two runs have one name: {', '.join(names)}")
+    check_calls(simulator, runs)
+    return SimulatorModel(simulator.of_runs(names)), Case(serial, tuple(runs))
+
+
+def check_simulator(simulator: Simulator, runs: Sequence[SimulatorRun]) -> Checked:
+    """Return the mistakes in recordings and, without any, what they tell of a simulator; no search.
+
+    Raises:
+        InputError: as for `diagnose_simulator`.
+    """
+    model, case = _called(simulator, runs)
+    return check_case(case, model)

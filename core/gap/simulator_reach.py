@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -27,18 +27,15 @@ from softcal.core.gap.case import (
     of_sign,
     unit_of,
 )
-from softcal.core.gap.fit import Fit, Regime, fit, shares_of_gap
-from softcal.core.gap.linear import start_coordinates
-from softcal.core.gap.method import MistakeConfig, NoiseFloorConfig
-from softcal.core.gap.problem import Block
+from softcal.core.gap.fit import Regime, fit, shares_of_gap
+from softcal.core.gap.hypothesis import start_coordinates
+from softcal.core.gap.method import GapMethod, MistakeConfig, NoiseFloorConfig
+from softcal.core.gap.model import Block, Fit
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun, runs_of
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
 from softcal.core.twin.signals import low_pass
-
-if TYPE_CHECKING:
-    from softcal.core.gap.simulator_model import SimulatorModel
 
 MIN_LIFT = 1.5
 """Share of the gap over share of time from which a condition is listed."""
@@ -352,6 +349,18 @@ def find_excess_noise(
     return tuple(result)
 
 
+class RoughModel(Protocol):
+    """A simulator whose base is fitted quickly, for a question that is put to several cases."""
+
+    @property
+    def simulator(self) -> Simulator: ...
+
+    @property
+    def method(self) -> GapMethod: ...
+
+    def rough_fit(self, case: Case) -> Fit: ...
+
+
 @dataclass(frozen=True)
 class MistakeTest:
     """A mistake that the simulator points at, and how well it stands against what else could be.
@@ -384,7 +393,7 @@ class MistakeTest:
         return self.is_enough and self.is_alone
 
 
-def against_others(model: "SimulatorModel", base: Fit) -> MistakeTest | None:
+def against_others(model: RoughModel, base: Fit) -> MistakeTest | None:
     """Return what the simulator shows: one run recorded otherwise than others, exchanged columns; None if nothing."""
     problem, config = base.problem, model.method.mistake
     if _agreement(base) > config.good:
@@ -395,7 +404,7 @@ def against_others(model: "SimulatorModel", base: Fit) -> MistakeTest | None:
     if suspected is None:
         return None
     mistake, residual, unrepaired = suspected
-    by_causes = min(1.0 - _agreement(_with_causes(base, [cause], 20)) for cause in model.candidates)
+    by_causes = min(1.0 - _agreement(_with_causes(base, [cause], 20)) for cause in model.simulator.candidates)
     test = MistakeTest(mistake, residual, unrepaired, by_causes, config.repaired)
     return test if test.is_enough or test.is_alone else None
 
@@ -406,7 +415,7 @@ def _with_causes(result: Fit, causes: Sequence[Effect], steps: int) -> Fit:
     return fit(result.problem, result.hypothesis.adding(*causes), np.append(result.coordinates, usual), steps=steps)
 
 
-def _exchanged(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float] | None:
+def _exchanged(model: RoughModel, case: Case) -> tuple[DataMistake, float] | None:
     """Return columns that agree with the base once they are exchanged in all runs, and what it leaves then."""
     for pair in combinations((*model.simulator.inputs, *model.simulator.channels), 2):
         runs = [run.changed(partial(_swapped, one=pair[0], other=pair[1])) for run in runs_of(case)]
@@ -424,7 +433,7 @@ def _of_exchange(one: str, other: str, runs: tuple[int, ...]) -> DataMistake:
     return DataMistake("swapped_columns", f"{one}+{other}", runs, None, evidence, repair)
 
 
-def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float, float] | None:
+def _of_one_run(model: RoughModel, case: Case) -> tuple[DataMistake, float, float] | None:
     """Return what is wrong with one run by what the others say of it, and what they leave of it repaired, and as it is.
 
     The others tell by the base, and by all causes together: a gap that all runs share is no mistake of one.
@@ -435,7 +444,7 @@ def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float
         others = model.rough_fit(Case(case.serial, tuple(runs[:k] + runs[k + 1 :])))
         if _residual_of_run(model, others, run) <= config.stands_out * (1.0 - _agreement(others)):
             continue
-        for result in (others, _with_causes(others, model.candidates, config.steps)):
+        for result in (others, _with_causes(others, model.simulator.candidates, config.steps)):
             as_it_is, of_others = _residual_of_run(model, result, run), 1.0 - _agreement(result)
             for mistake, repaired in _repairs(model, result, run, number[k]) if of_others < config.agreeing else ():
                 residual = of_others if repaired is None else _residual_of_run(model, result, repaired)
@@ -447,7 +456,7 @@ def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float
     return (best, rest, unrepaired) if best is not None and share <= config.asked else None
 
 
-def _residual_of_run(model: "SimulatorModel", others: Fit, run: SimulatorRun) -> float:
+def _residual_of_run(model: RoughModel, others: Fit, run: SimulatorRun) -> float:
     """Return which share of the worst channel's spread over all runs the others leave of a run."""
     columns, residual = run.columns, 0.0
     try:
@@ -468,7 +477,7 @@ def _agreement(result: Fit) -> float:
 
 
 def _repairs(
-    model: "SimulatorModel", others: Fit, run: SimulatorRun, number: int
+    model: RoughModel, others: Fit, run: SimulatorRun, number: int
 ) -> Iterator[tuple[DataMistake, SimulatorRun | None]]:
     """Yield what may be wrong with a run and the run repaired; None where nothing can be."""
     simulator, config, columns = model.simulator, model.method.mistake, run.columns
@@ -506,7 +515,7 @@ def _of_factor(name: str, number: int, factor: float, same: float) -> DataMistak
     return apart(name, number, factor, FACTORS, same)
 
 
-def find_strays(model: "SimulatorModel", base: Fit) -> tuple[DataMistake, ...]:
+def find_strays(model: RoughModel, base: Fit) -> tuple[DataMistake, ...]:
     """Return single samples far beyond all others that the simulator does not foretell: a broken transmission."""
     problem, simulator, config = base.problem, model.simulator, model.method.mistake
     result, case, number = [], problem.case, numbers(problem.case)

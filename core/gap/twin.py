@@ -1,22 +1,30 @@
 """Softcal's twin of a soft sensor as the model of a diagnosis."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-from softcal.core.gap.evidence import fault_locations, partial_of, regime_locations, with_residual_location
+from softcal.core.gap.case import Case, DataMistake, MenuEntry, RigScale, Run
+from softcal.core.gap.diagnosis import Assessment, Diagnosis, ReportingModel, diagnose_with
+from softcal.core.gap.evidence import (
+    FaultLocation,
+    RankedCause,
+    Where,
+    fault_locations,
+    partial_of,
+    regime_locations,
+    with_residual_location,
+)
 from softcal.core.gap.experiments import NextExperiment, propose_experiment
-from softcal.core.gap.fit import Fit, Map, Probe, fit, structure
-from softcal.core.gap.linear import RigScale
+from softcal.core.gap.fit import Map, fit, leader_of, one_less, structure
+from softcal.core.gap.hypothesis import BASE, Hypothesis, Probe
 from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
 from softcal.core.gap.mistakes import find_repeats, mistakes, outlier_run, outlier_run_with_causes, suspect_units
-from softcal.core.gap.model import Directions, FaultLocation, Model, RankedCause, Sizes, Where
+from softcal.core.gap.model import Block, Directions, Fit, Fits, Problem, Sizes
 from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, regimes
-from softcal.core.gap.problem import BASE, Block, Hypothesis, Problem
 from softcal.core.gap.residual import noise_levels, with_driving_noise
+from softcal.core.gap.search import Progress, Search
 from softcal.core.gap.twin_reach import (
     UNMODELLED_EFFECTS,
     WARM_DIVIDER,
@@ -34,7 +42,7 @@ from softcal.core.gap.twin_reach import (
     visible_effects,
 )
 from softcal.core.messages.reason import Reason, reason, several
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Mask
 from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS
 from softcal.core.twin.effects import Alias, Effect
 from softcal.core.twin.electronics import mean_code_V
@@ -42,10 +50,6 @@ from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import twin_record
-
-if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Assessment, Diagnosis
-    from softcal.core.gap.search import Search
 
 QUIETEST = 1e-6
 """Least noise of a force that is believed, N on the common rig."""
@@ -58,7 +62,7 @@ SEATED = ("press", "rest")
 
 
 @dataclass(frozen=True)
-class TwinModel(Model):
+class TwinModel(ReportingModel):
     """The twin of a soft sensor with the effects of a list.
 
     Args:
@@ -235,16 +239,16 @@ class TwinModel(Model):
         excitation, sized = excitation_of(base), base.problem.scale.sized
         return tuple(Probe(e, row, e.is_one_sided) for e in effects for row in e.probes(excitation, sized))
 
-    def start_again(self, search: "Search") -> None:
+    def start_again(self, base: Fit, candidates: Sequence[Effect], fits: Fits, store: Callable[[Fit], None]) -> None:
         """Fit the likeliest from other bases: one fitted through a large gap may be far off."""
-        likely = sorted(search.fits.values(), key=lambda f: f.bic)[: self.method.search.again]
-        likely += search.one_less(search.leader).values()
-        first = rough_start(search.base.problem.case)
+        likely = sorted(fits.values(), key=lambda f: f.bic)[: self.method.search.again]
+        likely += one_less(fits, leader_of(fits)).values()
+        first = rough_start(base.problem.case)
         for _ in range(2):
             for result in likely:
                 start = np.append(first, result.coordinates[result.hypothesis.of_base.stop :])
-                search.store(fit(result.problem, result.hypothesis, start, steps=40))
-            first = search.leader.coordinates[search.leader.hypothesis.of_base]
+                store(fit(result.problem, result.hypothesis, start, steps=40))
+            first = leader_of(fits).coordinates[base.hypothesis.of_base]
 
     def departures(self, case: Case) -> tuple[Effect, ...]:
         is_warming, warmed_K = case.changes("temperature_C"), self.method.unmodelled.warmed_K
@@ -280,7 +284,7 @@ class TwinModel(Model):
             else ("output", Reason("gap.regime.everywhere"))
         )
         if verdict == "unknown":
-            partial = partial_of(search, assessment)
+            partial = partial_of(search.fits, assessment.best)
             share, largest = partial.share if partial is not None else 0.0, regime_list[0].share if regime_list else 1.0
             locations = _unknown_locations(search, maps, FaultLocation("", channel, regime, largest, detail), share)
         else:
@@ -312,9 +316,9 @@ class TwinModel(Model):
         group, verdict = assessment.group, assessment.verdict
         # Where something is left besides, causes that look alike are told apart all the same.
         proposed = propose_experiment(self.menu(search.start), group) if len(group) > 1 else None
-        if proposed is not None and (verdict not in ("unknown", "explained_in_part") or proposed.profile != "none"):
+        if proposed is not None and (not assessment.is_partial or proposed.profile != "none"):
             return proposed
-        if verdict in ("unknown", "explained_in_part"):
+        if assessment.is_partial:
             if telling is not None:
                 return telling
             explanation, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
@@ -392,3 +396,17 @@ def _unknown_locations(
     # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.
     others = [replace(location, stage=stage, detail=Reason("gap.seen.same_maps")) for stage in stages[1:]]
     return [replace(location, stage=stages[0], detail=reason(code, seen=detail, share=share)), *others]
+
+
+def diagnose(
+    case: Case,
+    progress: Progress | None = None,
+    on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
+    model: TwinModel = TWIN,
+) -> Diagnosis[TwinModel]:
+    """Diagnose the gap between the twin of a soft sensor and the recordings of a case.
+
+    Args:
+        on_fits: called with every hypothesis that was fitted; not where the verdict is `data`.
+    """
+    return diagnose_with(model, case, progress, on_fits)

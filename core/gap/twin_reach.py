@@ -8,16 +8,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.optimize import nnls
 
 from softcal.core import profiles
-from softcal.core.gap.case import Case, MenuEntry, Run, RunKind
-from softcal.core.gap.fit import Fit
-from softcal.core.gap.linear import RigScale, to_fit
-from softcal.core.gap.problem import BASE
+from softcal.core.gap.case import Case, MenuEntry, RigScale, Run, RunKind
+from softcal.core.gap.hypothesis import BASE, to_fit
+from softcal.core.gap.model import Fit, Problem
 from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
@@ -29,9 +28,6 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import ExcitationRange
 from softcal.core.twin.signals import compiled, low_pass
 from softcal.core.twin.simulate import Chain, Values
-
-if TYPE_CHECKING:
-    from softcal.core.gap.problem import Problem
 
 SET_UP_min: Mapping[str, float] = {
     "press": 0.5,

@@ -70,7 +70,7 @@ def problem(friction_N: float = 0.4) -> SysidProblem:
 
 
 if __name__ == "__main__":
-    from softcal.core.gap.diagnosis import diagnose_simulator
+    from softcal.core.gap.simulator_model import diagnose_simulator
 
     found = diagnose_simulator(problem().simulator, problem().runs)
     likely = [(c.effect, c.parameters["change"]) for c in found.causes if c.probability > 0.5]

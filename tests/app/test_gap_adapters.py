@@ -9,8 +9,8 @@ import pytest
 
 from softcal.app.gap.adapters import integrate_rhs, run_command, run_fmu
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Simulator, candidate, recorded
+from softcal.core.gap.simulator_model import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 COOLING = candidate("radiation", "surface", Parameter("size", "1/(K·s)", -0.1, 0.1, 0.002, neutral=0.0))

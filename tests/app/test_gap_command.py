@@ -13,7 +13,7 @@ from softcal.app.gap.diagnose import read_twin, run_views, write_twin
 from softcal.app.texts.catalogue import text
 from softcal.core import profiles
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.twin import diagnose
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate

@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from softcal.app.gap.adapters import run_fmu
-from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Simulator, candidate, recorded
+from softcal.core.gap.simulator_model import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 VARIABLES = ("k", "d", "rub", "f", "x")

@@ -35,7 +35,8 @@ from softcal.core import profiles
 from softcal.core.challenge.protocols import PROTOCOLS
 from softcal.core.gap import case as recordings
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.diagnosis import Diagnosis
+from softcal.core.gap.twin import diagnose
 from softcal.core.gap.twin_reach import UNMODELLED_EFFECTS, WARM_DIVIDER, SET_UP_min
 from softcal.core.messages.gap_sentences import GAP_SENTENCES
 from softcal.core.messages.reason import Reason

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
+from softcal.core.gap.simulator_model import diagnose_simulator
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "simulators"
 pytestmark = pytest.mark.long

@@ -11,7 +11,7 @@ import pytest
 
 from softcal.app.gap.mujoco_sysid import from_sysid
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import diagnose_simulator
+from softcal.core.gap.simulator_model import diagnose_simulator
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "simulators"
 

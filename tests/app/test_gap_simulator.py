@@ -11,8 +11,8 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Experiment, Simulator, candidate, planned, recorded
+from softcal.core.gap.simulator_model import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "simulators"

@@ -11,7 +11,7 @@ import pytest
 from softcal.app.cli.main import main
 from softcal.app.gap.simulator import foretell_duration, in_processes, load_simulator, read_runs, simulator_of
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import diagnose_simulator
+from softcal.core.gap.simulator_model import diagnose_simulator
 
 MODULE = """
 import os

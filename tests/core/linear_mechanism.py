@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.fit import fit
+from softcal.core.gap.hypothesis import Hypothesis
+from softcal.core.gap.model import Fit, Problem
 from softcal.core.gap.search import Search
 from softcal.core.gap.simulator import Simulator, SimulatorRun, candidate, recorded
 from softcal.core.gap.simulator_model import SimulatorModel

@@ -9,13 +9,12 @@ import pytest
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.episodes import with_intervals, with_line, with_losses
+from softcal.core.gap.evidence import in_catalogue_form, with_constants
 from softcal.core.gap.fit import fit, structure
-from softcal.core.gap.linear import start_coordinates
-from softcal.core.gap.places import explained_twin, in_catalogue_form, with_constants
-from softcal.core.gap.problem import Hypothesis
-from softcal.core.gap.twin import TWIN
+from softcal.core.gap.hypothesis import Hypothesis, start_coordinates
+from softcal.core.gap.places import explained_twin
+from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate, twin_from_record, twin_record

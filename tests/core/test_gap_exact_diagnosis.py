@@ -3,17 +3,19 @@
 from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from softcal.core.gap.case import MenuEntry
+from softcal.core.gap.diagnosis import DiagnosisVerdict, assess_search
 from softcal.core.gap.empirical import learn_residual, splits
 from softcal.core.gap.evidence import fault_locations, nearest, partial_of, ranked_causes, regime_locations
 from softcal.core.gap.experiments import identifiability, propose_experiment, reasons
 from softcal.core.gap.fit import Regime, fit
+from softcal.core.gap.hypothesis import Hypothesis
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.residual import gap_of_base, on_unseen, quantify, unsupported
 from softcal.core.gap.search import Search
 from softcal.core.gap.simulator import Experiment, planned
@@ -428,27 +430,30 @@ def test_the_nearest_is_the_simplest_that_takes_nearly_the_most():
     search = hand_search()
     gap = search.base.chi2 - N
     near = METHOD.verdict.near_share
-    none = SimpleNamespace(best=search.base, verdict="unknown")
     for lacks, ids in ((0.5 * near, ("bend",)), (1.5 * near, ("bend", "ripple"))):
         both = replace(search.fits["bend", "ripple"], chi2=N + 0.10 * gap)
         one = replace(search.fits["bend",], chi2=N + (0.10 + lacks) * gap)
-        stub = SimpleNamespace(fits={(): search.base, ("bend",): one, ("bend", "ripple"): both}, share=search.share,
-                               explained_share=search.explained_share)  # fmt: skip
-        assert nearest(stub).ids == ids
-        assert partial_of(stub, none).effects == ids
-        assert partial_of(stub, none).share == pytest.approx(0.9 - (lacks if ids == ("bend",) else 0.0))
+        fits = {(): search.base, ("bend",): one, ("bend", "ripple"): both}
+        assert nearest(fits).ids == ids
+        assert partial_of(fits, search.base).effects == ids
+        assert partial_of(fits, search.base).share == pytest.approx(0.9 - (lacks if ids == ("bend",) else 0.0))
         # Where a set stands it is that one.
-        assert partial_of(stub, SimpleNamespace(best=one, verdict="explained_in_part")).effects == ("bend",)
-        assert partial_of(stub, SimpleNamespace(best=one, verdict="explained")) is None
-    alone = SimpleNamespace(fits={(): search.base}, share=search.share, explained_share=search.explained_share)
-    assert partial_of(alone, none) is None
+        assert partial_of(fits, one).effects == ("bend",)
+    assert partial_of({(): search.base}, search.base) is None
+
+
+def test_a_rest_without_a_name_is_left_where_the_gap_is_not_explained():
+    search = hand_search()
+    assessment = assess_search(search)
+    verdicts = get_args(DiagnosisVerdict)
+    assert {v for v in verdicts if replace(assessment, verdict=v).is_partial} == {"unknown", "explained_in_part"}
 
 
 def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
     search = hand_search()
     best, chi2 = search.fits["bend", "ripple"], {ids: f.chi2 for ids, f in search.fits.items()}
     chances = {"bend": 0.7, "ripple": 0.9, "kink": 0.0}
-    rows = ranked_causes(search, best, lm.CAUSES, (best,), chances, 0.8)
+    rows = ranked_causes(search.fits, best, lm.CAUSES, (best,), chances, 0.8)
     assert [r.effect for r in rows] == ["ripple", "bend", "kink"]
     worth = {
         "bend": 0.5 * (chi2[()] - chi2["bend",] + chi2["ripple",] - chi2["bend", "ripple"]),
@@ -463,9 +468,9 @@ def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
     for row, other in zip(rows[:2], ("bend", "ripple"), strict=True):
         assert row.alone == pytest.approx(np.clip((chi2[()] - chi2[row.effect,]) / excess, 0.0, 1.0))
         assert row.added == pytest.approx((chi2[other,] - chi2["bend", "ripple"]) / excess)
-    (alone, *_) = ranked_causes(search, search.fits["bend",], lm.CAUSES, (best,), {**chances, "bend": 1.0}, 0.8)
+    (alone, *_) = ranked_causes(search.fits, search.fits["bend",], lm.CAUSES, (best,), {**chances, "bend": 1.0}, 0.8)
     assert (alone.effect, alone.shrink) == ("bend", pytest.approx(0.8))
-    nothing = ranked_causes(search, search.base, lm.CAUSES, (), chances, 0.8)
+    nothing = ranked_causes(search.fits, search.base, lm.CAUSES, (), chances, 0.8)
     assert all(r.shrink is None for r in nothing)
     places = fault_locations(rows[:2], "y", Reason("gap.regime.everywhere"), lambda i: reason("gap.effect", effect=i))
     assert [p.share for p in places] == pytest.approx([r.shrink / 0.8 for r in rows[:2]])

@@ -18,10 +18,10 @@ from softcal.core.gap.episodes import (
     with_losses,
 )
 from softcal.core.gap.fit import fit
-from softcal.core.gap.linear import to_fit
+from softcal.core.gap.hypothesis import BASE, Hypothesis, to_fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.mistakes import UNITS, UNITS_OF_RUN, nearest, outlier_run, suspect_units
-from softcal.core.gap.problem import BASE, Hypothesis, Problem
+from softcal.core.gap.model import Problem
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import SearchTarget
@@ -157,7 +157,7 @@ def test_losses_are_placed_where_they_are():
 
 
 def test_a_second_loss_of_causes_costs_less_than_the_first():
-    from softcal.core.gap.evidence import penalty
+    from softcal.core.gap.fit import penalty
 
     base = base_of(run_of(1, output=lost(250, 7)), run_of(2))
     found = with_losses(base, EFFECTS["dropped_samples"])

@@ -7,22 +7,12 @@ import pytest
 from scipy.optimize import least_squares, lsq_linear
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.evidence import (
-    Yardstick,
-    competing_hypotheses,
-    confused_pairs,
-    estimates_of,
-    exact_log_evidence,
-    hidden_fraction,
-    log_evidences,
-    misfit,
-    penalty,
-    probabilities,
-)
-from softcal.core.gap.fit import Fit, Probe, Tangent, fit
+from softcal.core.gap.evidence import competing_hypotheses, confused_pairs, estimates_of, hidden_fraction, probabilities
+from softcal.core.gap.fit import Tangent, Yardstick, exact_log_evidence, fit, log_evidences, misfit, penalty
+from softcal.core.gap.hypothesis import Hypothesis, Probe
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.search import hiding, joined, screen
+from softcal.core.gap.model import Fit, Problem
+from softcal.core.gap.search import fit_jointly, hiding, screen
 from softcal.core.gap.simulator import Simulator, candidate, recorded
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.twin.effects import Parameter
@@ -351,7 +341,7 @@ def test_a_lead_of_a_line_promises_what_the_fit_gains(cause, step):
     if abs(exact[2] / step) < 30.0:
         assert lead.values[0] == pytest.approx(exact[2], rel=1e-4, abs=1e-6)
         np.testing.assert_allclose(lead.start(base), exact, atol=1e-5)
-    np.testing.assert_allclose(joined(base, lead).coordinates, exact, atol=1e-3)
+    np.testing.assert_allclose(fit_jointly(base, lead).coordinates, exact, atol=1e-3)
 
 
 def test_a_start_at_a_share_goes_so_far_along_the_promise():

@@ -10,13 +10,14 @@ from softcal.core import lot_diagnosis
 from softcal.core.errors import InputError
 from softcal.core.gap import search
 from softcal.core.gap.case import of_gain
-from softcal.core.gap.diagnosis import Diagnosis, assess_search, check_simulator, diagnose_simulator
-from softcal.core.gap.evidence import Yardstick, exact_log_evidence, log_evidences, misfit, penalty, probabilities
-from softcal.core.gap.fit import Regime, structure
+from softcal.core.gap.diagnosis import Diagnosis, assess_search
+from softcal.core.gap.evidence import probabilities
+from softcal.core.gap.fit import Regime, Yardstick, exact_log_evidence, log_evidences, misfit, penalty, structure
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import ExplainedFraction, Quantified
 from softcal.core.gap.search import search_under_correlated_noise
 from softcal.core.gap.simulator import Experiment
+from softcal.core.gap.simulator_model import check_simulator, diagnose_simulator
 from softcal.core.lot_diagnosis import UnitSearch, diagnose_lot, joint_logs, lot_logs
 from softcal.core.messages.reason import Reason
 from softcal.core.twin.catalogue import EFFECTS

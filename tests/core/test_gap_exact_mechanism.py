@@ -8,11 +8,11 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import Case, DataMistake, apart, numbers, of_gain, of_sign, of_unit, unit_of
+from softcal.core.gap.case import Case, DataMistake, RigScale, apart, numbers, of_gain, of_sign, of_unit, unit_of
 from softcal.core.gap.fit import fit
-from softcal.core.gap.linear import RigScale, fit_scale, from_fit, start_coordinates, to_fit
+from softcal.core.gap.hypothesis import Hypothesis, fit_scale, from_fit, start_coordinates, to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.model import Problem
 from softcal.core.gap.simulator import Experiment, Simulator, candidate, check_calls, planned, recorded
 from softcal.core.gap.simulator_model import Calls, SimulatorModel, best_start, likeliest, scattered
 from softcal.core.gap.simulator_reach import (

@@ -9,12 +9,12 @@ import pytest
 from softcal.app.gap.diagnose import apply_report
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import check_case, diagnose
-from softcal.core.gap.evidence import log_evidences
+from softcal.core.gap.diagnosis import check_case
+from softcal.core.gap.fit import log_evidences
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.places import explained_twin
 from softcal.core.gap.search import Search
-from softcal.core.gap.twin import TWIN
+from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate, twin_from_record
@@ -131,7 +131,7 @@ def test_sound_recordings_have_no_gap():
     assert all(c.probability < 0.2 for c in found.causes)
     assert found.next_experiment.profile == "long_hold"
     assert found.residual is None and found.partial is None
-    mistakes, told = check_case(case_of())
+    mistakes, told = check_case(case_of(), TWIN)
     assert mistakes == () and told is not None and told["k1_N_mm"].is_identifiable
 
 
@@ -159,7 +159,7 @@ def test_a_mistake_stops_the_diagnosis(tmp_path):
         apply_report(tmp_path / "twin.json", found.report(), "D1", provenance=None)
     assert not (tmp_path / "twin.json").exists()
     assert found.report()["twin"] is None and found.report()["base_twin"] is None
-    mistakes, told = check_case(Case("D1", runs))
+    mistakes, told = check_case(Case("D1", runs), TWIN)
     assert mistakes == found.mistakes and told is None
     apart = tuple(replace(r, force_N=1.3 * r.force_N) if r.name == "3" else r for r in case_of(runs=4).runs)
     assert diagnose(Case("D1", apart)).mistakes[0].what == "gain"

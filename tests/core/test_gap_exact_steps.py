@@ -13,14 +13,15 @@ from softcal.core.gap.experiments import (
     explain_unidentifiable,
     identifiability,
 )
-from softcal.core.gap.fit import Candidate, Probe, fit, structure
+from softcal.core.gap.fit import Candidate, fit, structure
+from softcal.core.gap.hypothesis import Hypothesis, Probe
 from softcal.core.gap.linear import NoiseCorrelation
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.mistakes import outlier_run_with_causes
+from softcal.core.gap.model import Nearby, Problem
 from softcal.core.gap.places import loose_noise
-from softcal.core.gap.problem import Hypothesis, Nearby, Problem
 from softcal.core.gap.residual import noise_chance
-from softcal.core.gap.search import joined, screen
+from softcal.core.gap.search import fit_jointly, screen
 from softcal.core.gap.simulator import candidate
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.simulator_reach import against_others
@@ -70,7 +71,7 @@ def test_a_joined_fit_begins_anew_where_it_brings_too_little(monkeypatch):
     ):
         gains[:] = drops
         starts.clear()
-        assert joined(base, lead).chi2 == pytest.approx(base.chi2 - best)
+        assert fit_jointly(base, lead).chi2 == pytest.approx(base.chi2 - best)
         assert len(starts) == calls
         shares = (1.0, 0.1, 0.003)[:calls]
         for (start, steps), share in zip(starts, shares, strict=True):

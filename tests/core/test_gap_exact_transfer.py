@@ -10,9 +10,9 @@ from softcal.core import transfer
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import fit
-from softcal.core.gap.linear import to_fit
+from softcal.core.gap.hypothesis import BASE, Hypothesis, to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.problem import BASE, Hypothesis, Problem
+from softcal.core.gap.model import Problem
 from softcal.core.gap.twin import TWIN
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.transfer import CalibrationWorth, LotErrors, LotUnit, PressedLot, Transfer, calibration_worth

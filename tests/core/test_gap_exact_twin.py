@@ -8,24 +8,15 @@ import pytest
 from scipy.optimize import least_squares
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import CHANNEL_OF_STAGE, Case, Run
-from softcal.core.gap.fit import Map, Probe, Structure, fit, form_of, shares_of_gap, structure
-from softcal.core.gap.linear import COMMON, RigScale, to_fit
+from softcal.core.gap.case import CHANNEL_OF_STAGE, COMMON, Case, RigScale, Run
+from softcal.core.gap.evidence import in_catalogue_form, with_constants
+from softcal.core.gap.fit import Map, Structure, fit, form_of, nuisance_rows, rows_of_runs, shares_of_gap, structure
+from softcal.core.gap.hypothesis import BASE, Hypothesis, Probe, to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.places import (
-    Tone,
-    explained_twin,
-    in_catalogue_form,
-    likely_stages,
-    loose_noise,
-    regimes,
-    strongest_tone,
-    suspects,
-    with_constants,
-)
-from softcal.core.gap.problem import BASE, Hypothesis, Problem, nuisance_rows, rows_of_runs
+from softcal.core.gap.model import Problem
+from softcal.core.gap.places import Tone, explained_twin, likely_stages, loose_noise, regimes, strongest_tone, suspects
 from softcal.core.gap.residual import with_driving_noise
-from softcal.core.gap.search import best_unmodelled, causes_with_surrogate, joined, screen, surrogate_share
+from softcal.core.gap.search import best_unmodelled, causes_with_surrogate, fit_jointly, screen, surrogate_share
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import (
     UNMODELLED_EFFECTS,
@@ -818,7 +809,7 @@ def test_a_lead_of_the_twin_ends_at_the_truth():
     base = fit(Problem(TWIN, Case("S", runs), SIGMA), Hypothesis(), AT)
     (lead,) = screen(base, [Probe(EFFECTS["wiring_resistance"], (0.3,), True)])
     assert lead.values[0] > 0.0 and lead.hidden > 0.9
-    assert joined(base, lead).effect_values[0][0] == pytest.approx(1.5, rel=0.25)
+    assert fit_jointly(base, lead).effect_values[0][0] == pytest.approx(1.5, rel=0.25)
 
 
 # What could be recorded.

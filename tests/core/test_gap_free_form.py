@@ -7,7 +7,8 @@ import pytest
 from softcal.core.challenge.case_generator import LINES, SIZES
 from softcal.core.challenge.rig import Cause
 from softcal.core.gap.case import Case
-from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.diagnosis import Diagnosis
+from softcal.core.gap.twin import diagnose
 from tests.layers import layered
 
 CONFIDENT = 0.8

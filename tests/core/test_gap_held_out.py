@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.evidence import log_evidences
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import start_coordinates
+from softcal.core.gap.fit import fit, log_evidences
+from softcal.core.gap.hypothesis import start_coordinates
+from softcal.core.gap.model import Fit
 from softcal.core.gap.residual import unsupported
 from softcal.core.gap.search import Search
-from softcal.core.gap.twin import TWIN
+from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.twin.catalogue import EFFECTS
 
 

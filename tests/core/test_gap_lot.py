@@ -9,7 +9,7 @@ from common.lot_draw import draw_lot
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.evidence import Yardstick
+from softcal.core.gap.fit import Yardstick
 from softcal.core.gap.method import METHOD, GapMethod
 from softcal.core.lot_diagnosis import UnitSearch, diagnose_lot, joint_logs, lot_logs
 from softcal.core.transfer import CalibrationWorth

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import check_case, check_simulator
+from softcal.core.gap.diagnosis import check_case
 from softcal.core.gap.simulator import Simulator, candidate, recorded
+from softcal.core.gap.simulator_model import check_simulator
+from softcal.core.gap.twin import TWIN
 from softcal.core.profiles import ramps
 from softcal.core.twin.effects import Parameter
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -183,7 +185,7 @@ def test_a_run_of_a_sensor_with_another_unit_of_temperature_is_named(unit: str, 
     runs = pressed(1)
     warm = np.asarray(runs[1].temperature_C) * factor + offset
     runs[1] = Run("2", runs[1].t_s, READOUT, runs[1].stage_mm, runs[1].force_N, runs[1].output_V, warm)
-    mistakes, told = check_case(Case("T", tuple(runs)))
+    mistakes, told = check_case(Case("T", tuple(runs)), TWIN)
     assert [(m.what, m.channel, m.runs) for m in mistakes] == [("unit_factor", "temperature", (2,))]
     assert told is None and unit in str(mistakes[0].repair)
 
@@ -194,6 +196,6 @@ def test_a_code_that_a_buffer_repeats_while_the_stage_moves_is_asked_about() -> 
     moving = int(np.argmax(np.asarray(runs[2].stage_mm) > 1.2))
     output_V[moving : moving + 20] = output_V[moving]
     runs[2] = Run("3", runs[2].t_s, READOUT, runs[2].stage_mm, runs[2].force_N, output_V, runs[2].temperature_C)
-    mistakes, told = check_case(Case("T", tuple(runs)))
+    mistakes, told = check_case(Case("T", tuple(runs)), TWIN)
     assert [(m.what, m.channel, m.runs) for m in mistakes] == [("repeats", "output_V", (3,))] and told is not None
-    assert check_case(Case("T", tuple(pressed(2))))[0] == ()
+    assert check_case(Case("T", tuple(pressed(2))), TWIN)[0] == ()

@@ -7,10 +7,9 @@ import pytest
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import fit
-from softcal.core.gap.search import joined, screen
-from softcal.core.gap.twin import TWIN
+from softcal.core.gap.search import fit_jointly, screen
+from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
@@ -34,7 +33,7 @@ def test_no_effect_ends_worse_than_the_twin_without_it(seed: int) -> None:
     leads = screen(base, TWIN.probes(base, TWIN.visible(case)))
     assert leads[0].gain > 1000.0
     for lead in leads:
-        assert joined(base, lead).chi2 <= 1.001 * base.chi2, lead.effect.id
+        assert fit_jointly(base, lead).chi2 <= 1.001 * base.chi2, lead.effect.id
 
 
 def test_a_start_that_leads_nowhere_is_tried_more_gently() -> None:
@@ -46,7 +45,7 @@ def test_a_start_that_leads_nowhere_is_tried_more_gently() -> None:
     # Four hundred times too large a promise, as a bent surface makes it.
     far = replace(lead, values=(400.0 * lead.values[0],), shift=400.0 * lead.shift)
     lost = fit(base.problem, base.hypothesis.adding(lead.effect), far.start(base))
-    found = joined(base, far)
+    found = fit_jointly(base, far)
     assert found.chi2 < min(lost.chi2, 0.5 * base.chi2)
 
 

@@ -10,14 +10,14 @@ from scipy.signal import lfilter
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import fit
-from softcal.core.gap.linear import NoiseCorrelation, Stretch, filter_of, filtered, log_likelihood, to_fit
+from softcal.core.gap.hypothesis import BASE as PARAMETERS
+from softcal.core.gap.hypothesis import Hypothesis, to_fit
+from softcal.core.gap.linear import NoiseCorrelation, Stretch, filter_of, filtered, log_likelihood
 from softcal.core.gap.method import NoiseCorrelationConfig
-from softcal.core.gap.problem import BASE as PARAMETERS
-from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.model import Problem
 from softcal.core.gap.residual import is_noise, read_noise
-from softcal.core.gap.twin import TWIN
+from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate

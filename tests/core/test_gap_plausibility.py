@@ -9,10 +9,9 @@ import pytest
 from softcal.app.files.case_folder import open_table
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.mistakes import suspect_units
-from softcal.core.gap.twin import TWIN
+from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 

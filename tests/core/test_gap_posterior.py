@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softcal.core.gap.evidence import misfit
+from softcal.core.gap.fit import misfit
 from softcal.core.gap.method import METHOD
 
 

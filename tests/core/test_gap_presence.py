@@ -6,12 +6,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from softcal.core.gap.diagnosis import closest_set, diagnose_simulator
+from softcal.core.gap.diagnosis import closest_set
 from softcal.core.gap.evidence import Consistency, bounds_reached, consistency_of, list_completeness, rest_energy
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import ExplainedFraction
 from softcal.core.gap.search import Search
 from softcal.core.gap.simulator import Experiment, Simulator, candidate, recorded
+from softcal.core.gap.simulator_model import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 from tests.core.linear_mechanism import (
     BEND,

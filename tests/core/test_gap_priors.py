@@ -7,12 +7,12 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
-from softcal.core.gap.diagnosis import check_simulator, diagnose_simulator
 from softcal.core.gap.fit import fit
-from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.hypothesis import Hypothesis
+from softcal.core.gap.model import Problem
 from softcal.core.gap.residual import noise_levels
 from softcal.core.gap.simulator import Simulator, candidate, recorded
-from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.simulator_model import SimulatorModel, check_simulator, diagnose_simulator
 from softcal.core.gap.simulator_reach import SimulatorTerm, with_terms
 from softcal.core.twin.effects import Parameter
 

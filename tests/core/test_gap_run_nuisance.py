@@ -8,8 +8,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from softcal.core.gap.diagnosis import Diagnosis, diagnose_simulator
+from softcal.core.gap.diagnosis import Diagnosis
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.gap.simulator_model import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 STEP_s = 0.05

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Simulator, candidate, check_calls, recorded
+from softcal.core.gap.simulator_model import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 

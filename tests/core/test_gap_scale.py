@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softcal.core import profiles
-from softcal.core.gap.case import Case, Run
-from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.linear import COMMON, RigScale
-from softcal.core.gap.problem import BASE as PARAMETERS
+from softcal.core.gap.case import COMMON, Case, RigScale, Run
+from softcal.core.gap.hypothesis import BASE as PARAMETERS
+from softcal.core.gap.twin import diagnose
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import check_simulator, diagnose_simulator
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.gap.simulator_model import check_simulator, diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 T = np.arange(300) * 0.02

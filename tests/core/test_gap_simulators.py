@@ -13,10 +13,9 @@ from scipy.signal import lfilter
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
-from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.residual import noise_chance
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
-from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.simulator_model import SimulatorModel, diagnose_simulator
 from softcal.core.gap.simulator_reach import shifted, term_of, with_terms
 from softcal.core.twin.effects import Parameter
 from tests.layers import layered

@@ -30,18 +30,20 @@ NO_DECISION = {
     "core/maps/synchrony.py": {"NONE", "LONGEST_LAG_s"},  # zeros, and where a search ends
     "core/operation/adapter.py": {"STATE_FORMAT"},  # of the stored state
     "core/operation/stream_estimator.py": {"MAX_UPDATES"},  # length of a queue for the caller
-    "core/gap/case.py": {"SHORTEST", "HALF_WIDTH", "SHIFTED"},  # what is refused, a smoother, and units
-    "core/gap/episodes.py": {"SKEW_STEPS", "ACROSS", "MAINS_Hz", "PLACEMENTS"},  # of a solver, and of power lines
-    "core/gap/fit.py": {"TOLERANCE", "TRIES"},  # of a solver
-    "core/gap/linear.py": {
+    "core/gap/case.py": {
+        "SHORTEST",
+        "HALF_WIDTH",
+        "SHIFTED",
         "COMMON",
         "POWERS",
-        "COMMON_STEP_s",
-        "DIFFERENCE",
-    },  # size of the common rig, of units, and of a solver
+    },  # what is refused, a smoother, units, the common rig
+    "core/gap/episodes.py": {"SKEW_STEPS", "ACROSS", "MAINS_Hz", "PLACEMENTS"},  # of a solver, and of power lines
+    "core/gap/fit.py": {"TOLERANCE", "TRIES"},  # of a solver
+    "core/gap/hypothesis.py": {"DIFFERENCE", "BASE"},  # of a solver, and the base's bounds
+    "core/gap/linear.py": {"COMMON_STEP_s"},  # of the common rig
     "core/gap/mistakes.py": {"UNITS_OF_RUN", "TIME_UNITS", "UNITS"},  # units
     "core/gap/places.py": {"TIED"},  # rounding
-    "core/gap/problem.py": {"PASSES", "LINEAR_SIGMA", "BASE"},  # of a solver, and the base's bounds
+    "core/gap/model.py": {"PASSES", "LINEAR_SIGMA"},  # of a solver
     "core/gap/residual.py": {"TRIMMED"},  # of an estimator
     "core/gap/search.py": {"MIN_GAIN_SHARE", "GENTLER"},  # where a fit begins
     "core/gap/simulator.py": {
