@@ -302,9 +302,7 @@ def _propose_for_residual(
     if rest is None or not assessment.is_partial:
         return None
     other_causes = other_causes or tuple(i for i in rest.ids if i in {effect.id for effect in search.candidates})
-    entries = search.model.menu(search.start)
-    proposed = propose_for_unmodelled(entries, search.fits, rest, other_causes) if entries else None
-    return None if proposed is None or proposed.profile == "none" else proposed
+    return propose_for_unmodelled(search.model.menu(search.start), search.fits, rest, other_causes)
 
 
 @dataclass(frozen=True)
@@ -365,7 +363,7 @@ def assess_search(search: Search) -> Assessment:
     )
     chances = {i: p * trust.get(i, 1.0) for i, p in every.items()}
     if verdict == "unknown" and search.unmodelled is None:
-        if quantified.is_supported and any(chances[i] >= model.presence_config.certain for i in best.ids):
+        if quantified.is_supported and any(chances[i] >= model.method.presence.certain for i in best.ids):
             verdict = "explained_in_part"
         elif model.hands_on_closest and (best := closest_set(search)) is not search.best:
             group, quantified = (best,), quantify(search.base, with_constants(best), is_chosen=True)
@@ -400,7 +398,7 @@ def _completeness(search: Search, result: Fit) -> float:
     has_unlisted = search.unmodelled is not None or search.model.is_uneven(result)
     gap, chance = max(search.base.chi2 - search.base.problem.count, 1.0), noise_chance(result)
     rest = min(rest_energy(result, chance) / gap, 1.0) if result.ids else 1.0
-    return list_completeness(chance, rest, has_unlisted, search.model.presence_config)
+    return list_completeness(chance, rest, has_unlisted, search.model.method.presence)
 
 
 def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: Iterable[str]) -> dict[str, float]:
@@ -408,7 +406,7 @@ def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: It
 
     Every hypothesis counts by its evidence. In one that leaves a rest a cause may be what imitates a part of it.
     """
-    config, chances, rest = search.model.presence_config, dict.fromkeys(effects, 0.0), 0.0
+    config, chances, rest = search.model.method.presence, dict.fromkeys(effects, 0.0), 0.0
     memo: dict[tuple[str, ...], dict[str, float]] = {(): {}}
     for ids, weight in weights_of(logs).items():
         if weight > config.negligible:
@@ -424,7 +422,7 @@ def _genuine_probabilities(
 ) -> dict[str, float]:
     """Return how likely each cause of a hypothesis is there and imitates nothing; `memo` by hypothesis."""
     if ids not in memo:
-        config, result = search.model.presence_config, search.fits[ids]
+        config, result = search.model.method.presence, search.fits[ids]
         complete, rest = _completeness(search, result), rest_energy(result, noise_chance(result))
         consistent = {i: consistency_of(result, i, rest).genuine_chance(config) for i in ids}
         genuine = {i: complete + (1.0 - complete) * chance for i, chance in consistent.items()}

@@ -215,7 +215,7 @@ def rest_energy(result: Fit, noise_chance: float) -> float:
 
 def consistency_of(result: Fit, effect_id: str, rest: float) -> Consistency:
     """Return how a cause of a fit stands to the rest that the fit leaves, in units of χ²."""
-    config, change, at = result.problem.model.presence_config, signature(result, effect_id), result.hypothesis.slices
+    config, change, at = result.problem.method.presence, signature(result, effect_id), result.hypothesis.slices
     # Of its signature what no other fitted parameter imitates.
     others = np.delete(result.jacobian, range(at[effect_id].start, at[effect_id].stop), axis=0)
     basis = orthonormal(others, 1e-10)

@@ -67,8 +67,8 @@ def propose_experiment(
 
 def propose_for_unmodelled(
     entries: Sequence[MenuEntry], fits: Fits, rest: Fit, causes: Sequence[str]
-) -> NextExperiment:
-    """Return the entry that tells a rest, by its own law, from the causes that come nearest to it.
+) -> NextExperiment | None:
+    """Return the entry that tells a rest, by its own law, from the causes nearest to it; None where none does.
 
     Args:
         rest: a hypothesis of the causes `causes` and of what describes the rest.
@@ -76,9 +76,8 @@ def propose_for_unmodelled(
     max_count = rest.problem.method.rival.most
     larger = [f for f in fits.values() if set(f.ids) > set(causes) and len(f.ids) == len(causes) + 1]
     nearest = sorted(larger, key=lambda result: result.chi2)[:max_count]
-    if not (entries and nearest):
-        return NextExperiment("none", Reason("gap.next.no_gap"))
-    return propose_experiment(entries, (rest, *nearest), Reason("gap.rest"))
+    proposed = propose_experiment(entries, (rest, *nearest), Reason("gap.rest")) if entries and nearest else None
+    return None if proposed is None or proposed.profile == "none" else proposed
 
 
 def causes_of(competing: Sequence[Fit], first_name: Reason | None = None) -> Reason:

@@ -37,9 +37,8 @@ class MistakeConfig:
     # paired, unpaired: correlation above which two columns belong to one run, or below do not.
     paired: float = setting(0.75)
     unpaired: float = setting(0.6)
-    # good, bad: share of a channel that a simulator's base takes up where it agrees, or does not.
+    # share of a channel that a simulator's base takes up where it agrees.
     good: float = setting(0.9)
-    bad: float = setting(0.8)
     # share of what the base leaves that may be left once a mistake is repaired; else it is a question.
     repaired: float = setting(0.1)
     # stands_out: how much more the others leave of a run than of themselves for it to be looked at.
@@ -404,6 +403,11 @@ class GapMethod(NumberedMethod):
         )
     )
     worth: WorthConfig = field(default_factory=WorthConfig)
+
+    @property
+    def for_simulators(self) -> "GapMethod":
+        """The method for a foreign simulator, whose list of causes is short."""
+        return replace(self, search=self.simulator_search, presence=self.simulator_presence)
 
 
 METHOD = GapMethod()

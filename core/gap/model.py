@@ -13,7 +13,7 @@ import numpy as np
 from softcal.core.gap.case import Case, DataMistake, MenuEntry, RigScale, Run, RunKind
 from softcal.core.gap.hypothesis import Hypothesis, Prior, Probe
 from softcal.core.gap.linear import NoiseCorrelation, bounded_sizes, energy, filter_of, filtered, gram
-from softcal.core.gap.method import GapMethod, NoiseCorrelationConfig, PresenceConfig, SearchConfig
+from softcal.core.gap.method import GapMethod, NoiseCorrelationConfig
 from softcal.core.recording import Array, Mask
 from softcal.core.twin.effects import Effect, Form, Parameter
 from softcal.core.twin.parameters import BaseParameters
@@ -36,14 +36,18 @@ class Model(ABC):
         candidates: effects it may lack; causes are sought among them.
         offset_names: of what every run may have of its own.
         are_relative: of which offsets only what the runs differ by is taken off.
+        channels: whose gap is measured, where they were recorded.
         priors: what is known of the base before any run.
         are_bending: which offsets move a channel other than in proportion.
+        is_partly_unknown: whether a sample that nobody can foretell costs what a right prediction would; else a fit
+            must not go where one is.
         hands_on_closest: whether the set of least error held back is handed on where no cause is certain.
         smooth_order: which differences of a residual hold noise alone: second ones where all is quick.
     """
 
     method: GapMethod
     smooth_order: int
+    is_partly_unknown: bool
     hands_on_closest: bool
 
     @property
@@ -57,6 +61,10 @@ class Model(ABC):
     def forms_of(self, cause: str) -> Sequence[Form]:
         """Return other realisations of a cause."""
         return next((effect.forms for effect in self.candidates if effect.id == cause), ())
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[str, ...]: ...
 
     @property
     @abstractmethod
@@ -74,16 +82,6 @@ class Model(ABC):
     @abstractmethod
     def are_bending(self) -> Mask: ...
 
-    @property
-    @abstractmethod
-    def search_config(self) -> SearchConfig:
-        """How wide causes are sought."""
-
-    @property
-    @abstractmethod
-    def presence_config(self) -> PresenceConfig:
-        """How sure a cause is beside a rest: a short list misses more laws than a catalogue."""
-
     # What it predicts.
 
     @abstractmethod
@@ -97,10 +95,6 @@ class Model(ABC):
     @abstractmethod
     def recorded(self, run: Run, channel: str) -> Array:
         """Return a recorded column of a run, (n,)."""
-
-    @abstractmethod
-    def scored_channels(self, problem: Problem) -> list[str]:
-        """Return the channels whose gap is measured."""
 
     @abstractmethod
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
@@ -131,10 +125,6 @@ class Model(ABC):
         self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes
     ) -> Directions:
         """Return how a prediction with these offsets in it changes with each of them."""
-
-    @abstractmethod
-    def with_unknown(self, problem: Problem, predicted: Array) -> Array:
-        """Return a prediction, (samples,), as a fit reads it where it is NaN."""
 
     # What it leaves.
 
@@ -305,7 +295,7 @@ class Problem:
     @property
     def scored_channels(self) -> list[str]:
         """Channels whose gap is measured."""
-        return self.model.scored_channels(self)
+        return [c for c in self.model.channels if any(b.channel == c for b in self.blocks)]
 
     def of_run(self, run: Run) -> Problem:
         """Return the problem of a run that is not recorded yet, under the same noise."""
@@ -413,14 +403,20 @@ class Problem:
         """Return the clean prediction, (samples,), and what foretells it nearby in one pass."""
         out = self.clean(hypothesis, coordinates, {})
         if not self.has_offsets or self.case.is_planned or not len(self.largest_offsets):
-            return self.model.with_unknown(self, out), self.predict
+            return self._with_unknown(out), self.predict
         out, nearby = with_offsets(self, hypothesis, coordinates, out)
         out = nearby.added(self, out)
 
         def around(other: Hypothesis, near: Array) -> Array:
-            return self.model.with_unknown(self, nearby.added(self, self.clean(other, near, nearby.moved)))
+            return self._with_unknown(nearby.added(self, self.clean(other, near, nearby.moved)))
 
-        return self.model.with_unknown(self, out), around
+        return self._with_unknown(out), around
+
+    def _with_unknown(self, predicted: Array) -> Array:
+        unknown = np.isnan(predicted)
+        if not (self.model.is_partly_unknown and unknown.any()):
+            return predicted
+        return np.where(unknown, self.measured - self.noise, predicted)
 
     def offset_sizes(self, hypothesis: Hypothesis, coordinates: Array) -> dict[int, Array]:
         """Return by run, (k,), what it has of its own at these coordinates."""

@@ -83,7 +83,7 @@ class Search:
 
     def __init__(self, base: Fit, candidates: Sequence[Effect], on_progress: Progress = lambda _: None) -> None:
         self.model, self.candidates, self.on_progress = base.problem.model, candidates, on_progress
-        self._config = self.model.search_config
+        self._config = self.model.method.search
         self._probes = self.model.probes(base, candidates)
         self._episodic = [effect for effect in candidates if effect.signs.search_target is not None]
         self.start = self.base = self.best = base

@@ -326,8 +326,14 @@ PROBED = ExcitationRange(1.0, 1.0, 0.0, 1.0, 1.0, 1.0)
 """What probes of a mechanism are asked at; they do not depend on it."""
 
 
-def _elsewhere(flow: Flow, values: Sequence[float], state: Memory) -> None:
-    raise ValueError("this effect belongs to another simulator, not to the twin of a soft sensor")
+@dataclass(frozen=True)
+class ForeignStep:
+    """The step of an effect that a simulator makes by itself, `of` a term or of nothing more."""
+
+    of: Any = None
+
+    def __call__(self, flow: Flow, values: Sequence[float], state: Memory) -> None:
+        raise ValueError("this effect belongs to a simulator, not to the twin of a soft sensor")
 
 
 def _constant_probes(rows: Sequence[tuple[float, ...]], at: ExcitationRange) -> Sequence[tuple[float, ...]]:
@@ -353,7 +359,7 @@ def candidate(
     if not parameters or parameters[0].neutral is None:
         raise InputError(f"candidate {name}: its first parameter must have the neutral value that switches it off")
     signs = Signs(probes=partial(_constant_probes, tuple(probes)) if probes else None, confounders=confounders)
-    return Effect(name, place, Hook.READING, "", "a simulator's own", parameters, _elsewhere, signs=signs)
+    return Effect(name, place, Hook.READING, "", "a simulator's own", parameters, ForeignStep(), signs=signs)
 
 
 @dataclass(frozen=True, eq=False)

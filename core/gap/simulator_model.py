@@ -23,7 +23,7 @@ from softcal.core.gap.experiments import NextExperiment, causes_of, propose_expe
 from softcal.core.gap.fit import Tangent, fit, leader_of, rows_of_runs, structure
 from softcal.core.gap.hypothesis import Hypothesis, Prior, Probe, fit_scale, from_fit, to_fit
 from softcal.core.gap.linear import COMMON_STEP_s, energy
-from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
+from softcal.core.gap.method import METHOD, GapMethod
 from softcal.core.gap.mistakes import find_repeats
 from softcal.core.gap.model import Block, Directions, Fit, Fits, Problem, Sizes
 from softcal.core.gap.residual import noise_chance, noise_levels, scatter_of
@@ -31,6 +31,7 @@ from softcal.core.gap.search import Progress, Search
 from softcal.core.gap.simulator import (
     LINEAR,
     Columns,
+    ForeignStep,
     Simulator,
     SimulatorFailed,
     SimulatorRun,
@@ -40,7 +41,6 @@ from softcal.core.gap.simulator import (
 )
 from softcal.core.gap.simulator_reach import (
     SimulatorTerm,
-    TermStep,
     against_others,
     cut_off,
     explanatory_signals,
@@ -190,10 +190,11 @@ class SimulatorModel(ReportingModel):
     """A simulator with its candidates, and what it said of every case."""
 
     simulator: Simulator
-    method: GapMethod = METHOD
+    method: GapMethod = METHOD.for_simulators
     _calls: WeakKeyDictionary[Case, Calls] = field(default_factory=WeakKeyDictionary, repr=False)
 
     smooth_order = 2
+    is_partly_unknown = False
     hands_on_closest = True
 
     def calls(self, case: Case) -> Calls:
@@ -207,6 +208,10 @@ class SimulatorModel(ReportingModel):
     @property
     def candidates(self) -> tuple[Effect, ...]:
         return self.simulator.candidates
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return self.simulator.channels
 
     @property
     def priors(self) -> Sequence[Prior]:
@@ -229,14 +234,6 @@ class SimulatorModel(ReportingModel):
     def are_bending(self) -> Mask:
         return np.array([kind == "delay" for _, kind in self.simulator.offsets], dtype=np.bool_)
 
-    @property
-    def search_config(self) -> SearchConfig:
-        return self.method.simulator_search
-
-    @property
-    def presence_config(self) -> PresenceConfig:
-        return self.method.simulator_presence
-
     # What it predicts.
 
     def scale_of(self, case: Case) -> RigScale:
@@ -248,9 +245,6 @@ class SimulatorModel(ReportingModel):
 
     def recorded(self, run: Run, channel: str) -> Array:
         return cast(SimulatorRun, run).columns[channel]
-
-    def scored_channels(self, problem: Problem) -> list[str]:
-        return list(self.simulator.channels)
 
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
         min_noise = 1e-9 * max(float(np.ptp(problem.measured[b.rows])) for b in problem.blocks_of(channel))
@@ -309,7 +303,7 @@ class SimulatorModel(ReportingModel):
             calls.store(key, self._stacked(problem, answers))
         raw = calls.answers[key]
         added = [e for e in hypothesis.effects if e.id not in self.simulator.candidate_ids]
-        terms = [(cast(TermStep, e.step).term, e.id) for e in added]
+        terms = [(cast(ForeignStep, e.step).of, e.id) for e in added]
         if not terms or not np.all(np.isfinite(raw)):
             return raw
         out, sizes = raw.copy(), {i: coordinates[hypothesis.index_of(i)] for _, i in terms}
@@ -348,10 +342,6 @@ class SimulatorModel(ReportingModel):
             for block in (b for b in problem.blocks if b.run == k):
                 out[block.rows] = channel_answers[block.channel]
         return out
-
-    def with_unknown(self, problem: Problem, predicted: Array) -> Array:
-        # Where a simulator fails nothing is known: a fit must not go there.
-        return predicted
 
     # What it leaves.
 

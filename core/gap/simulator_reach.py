@@ -31,10 +31,10 @@ from softcal.core.gap.fit import Regime, fit, shares_of_gap
 from softcal.core.gap.hypothesis import start_coordinates
 from softcal.core.gap.method import GapMethod, MistakeConfig, NoiseFloorConfig
 from softcal.core.gap.model import Block, Fit
-from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun, runs_of
+from softcal.core.gap.simulator import Columns, ForeignStep, Simulator, SimulatorFailed, SimulatorRun, runs_of
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+from softcal.core.twin.effects import Effect, Hook, Parameter
 from softcal.core.twin.signals import low_pass
 
 MIN_LIFT = 1.5
@@ -101,7 +101,7 @@ class SimulatorTerm:
         usual = 0.01 * self.span
         size = Parameter("coefficient", self.unit, -1e3 * self.span, 1e3 * self.span, usual, neutral=0.0)
         name = f"{self.place} += {self.variable}"
-        return Effect(name, self.place, Hook.READING, "", "empirical", (size,), TermStep(self))
+        return Effect(name, self.place, Hook.READING, "", "empirical", (size,), ForeignStep(self))
 
     def values(self, t_s: Array, columns: Columns) -> Array:
         """Return the variable, (n,), from the time in s and the inputs and channels of a run."""
@@ -120,16 +120,6 @@ class SimulatorTerm:
 
     def record(self) -> dict[str, object]:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
-
-@dataclass(frozen=True)
-class TermStep:
-    """What stands for a term among the effects of a hypothesis."""
-
-    term: SimulatorTerm
-
-    def __call__(self, flow: Flow, values: Sequence[float], state: Memory) -> None:
-        raise ValueError("this term belongs to a simulator, not to the twin of a soft sensor")
 
 
 def terms_of(simulator: Simulator, result: Fit) -> Iterator[SimulatorTerm]:

@@ -19,7 +19,7 @@ from softcal.core.gap.evidence import (
 from softcal.core.gap.experiments import NextExperiment, propose_experiment
 from softcal.core.gap.fit import Map, fit, leader_of, one_less, structure
 from softcal.core.gap.hypothesis import BASE, Hypothesis, Probe
-from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
+from softcal.core.gap.method import METHOD, GapMethod
 from softcal.core.gap.mistakes import find_repeats, mistakes, outlier_run, outlier_run_with_causes, suspect_units
 from softcal.core.gap.model import Block, Directions, Fit, Fits, Problem, Sizes
 from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, regimes
@@ -73,9 +73,12 @@ class TwinModel(ReportingModel):
     method: GapMethod = METHOD
 
     base = BASE
+    # Where the stage stands on a rigid block is none.
+    channels = ("output_V", "force_N")
     priors = ()
     offset_names = ("zero of force_N", "unloaded resistance", "height of the surface")
     smooth_order = 1
+    is_partly_unknown = True
     hands_on_closest = False
     # Whose common part is the base's own: resistance and surface, not the zero of the force.
     are_relative = np.array([False, True, True])
@@ -84,14 +87,6 @@ class TwinModel(ReportingModel):
     @property
     def candidates(self) -> tuple[Effect, ...]:
         return tuple(self.effects.values())
-
-    @property
-    def search_config(self) -> SearchConfig:
-        return self.method.search
-
-    @property
-    def presence_config(self) -> PresenceConfig:
-        return self.method.presence
 
     # What it predicts.
 
@@ -105,10 +100,6 @@ class TwinModel(ReportingModel):
 
     def recorded(self, run: Run, channel: str) -> Array:
         return np.asarray(getattr(run, channel))
-
-    def scored_channels(self, problem: Problem) -> list[str]:
-        # Where the stage stands on a rigid block is none.
-        return [c for c in ("output_V", "force_N") if any(b.channel == c for b in problem.blocks)]
 
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
         min_noise = 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
@@ -141,10 +132,10 @@ class TwinModel(ReportingModel):
             if block.run != last:
                 run, last, run_base = problem.case.runs[block.run], block.run, bases.get(block.run, base)
                 channels = predict_run(run, last, run_base, hypothesis.chain, values, hypothesis.episodes_of(last))
-            channel = channels.get(block.channel)
-            if block.channel == "output_V" and dither_V is not None and channel is not None:
+            channel = channels[block.channel]
+            if block.channel == "output_V" and dither_V is not None:
                 channel = mean_code_V(channel, dither_V, problem.case.readout.step_V)
-            out[block.rows] = problem.measured[block.rows] if channel is None else channel
+            out[block.rows] = channel
             if block.channel == "force_N" and block.run in sizes:
                 out[block.rows] += sizes[block.run][0]
         return out
@@ -166,11 +157,6 @@ class TwinModel(ReportingModel):
             parameters = (run_base.u0_mm, run_base.k1_N_mm, run_base.k3_N_mm3, run_base.kappa_per_N)
             out.append(offset_rows(kinds, stage_mm, clean[block.rows], run.readout.vref_V, parameters))
         return out
-
-    def with_unknown(self, problem: Problem, predicted: Array) -> Array:
-        # A sample nobody can foretell costs what a right prediction would: ignorance wins nothing.
-        unknown = np.isnan(predicted)
-        return np.where(unknown, problem.measured - problem.noise, predicted) if unknown.any() else predicted
 
     # What it leaves.
 
