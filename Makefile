@@ -33,7 +33,7 @@ test-all: $(STAMP) check check-benchmarks
 check: $(STAMP) $(SOURCE)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	MYPYPATH=$(SOURCE) $(BIN)/mypy --num-workers 2 --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
+	MYPYPATH=$(SOURCE) $(BIN)/mypy --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
 	PYTHONPATH=$(SOURCE) $(BIN)/lint-imports
 	$(BIN)/vulture
 
