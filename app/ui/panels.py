@@ -31,7 +31,7 @@ QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
 LINK_TEXT = "#(.*)$"
 NO_BREAK = "\u00a0"
 CLOSER = """[data-testid=stMainBlockContainer] { padding-top: 1.2rem; padding-bottom: 1rem }
-[data-testid=stMetric] { padding: 0.6rem 1rem }"""
+[data-testid=stMetric] { margin-block: -0.5rem }"""
 """The bar of pages needs less room above the title than Streamlit leaves, nothing stands below a page, and numbers are
 as tall as they are, so that a lot with its alerts stands on one screen."""
 

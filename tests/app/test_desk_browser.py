@@ -88,7 +88,13 @@ def test_every_page_fits_a_small_panel_and_shows_no_error(
         _fits(panel)
 
 
+CUT_OFF = """() => [...document.querySelectorAll('[data-testid=stMetric] *')]
+    .filter(part => part.scrollWidth > part.clientWidth + 1 && part.clientWidth).map(part => part.innerText)"""
+"""Words and numbers of a tile that it has no room for."""
+
+
 def _fits(page: Page) -> None:
+    assert page.evaluate(CUT_OFF) == [], page.url
     width, room = page.evaluate("() => [document.documentElement.scrollWidth, window.innerWidth]")
     assert width <= room, page.url
     assert page.get_by_test_id("stAlertContentError").count() == 0, page.url

@@ -25,7 +25,7 @@ from softcal.app.views.lots import lot_list, proposed_lot_id
 from softcal.app.views.next_step import next_step
 from softcal.app.views.search import search
 from softcal.core.lot import Lot
-from softcal.core.orders import Heartbeat, StationState
+from softcal.core.orders import Heartbeat, Order, OrderKind, StationState
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.recording import LabelledRecording
 from softcal.db.connection import open_registry
@@ -250,3 +250,19 @@ def test_a_station_of_hardware_has_no_button_to_end_it(calibrated: str, show) ->
     with open_registry(calibrated) as registry:
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
     assert "station-simulated" not in [one.key for one in show(calibrated, "station", role="engineer").button]
+
+
+def test_every_serial_and_lot_in_a_table_is_a_link(calibrated: str, show) -> None:
+    with open_registry(calibrated) as registry:
+        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+        registry.order_queue.place(Order("run-1", "line-1", OrderKind.UNIT, "A1", "small", "Kim"))
+    heads = {text("en", "column.serial"), text("en", "choose.lot")}
+    pages, cells = set(), []
+    for page, tab in [*TABS, ("lots", "")]:
+        screen = show(calibrated, page, tab=tab, lot="small", unit="small/A1", role="engineer")
+        for table in screen.table:
+            found = [cell for head in heads & set(table.value.columns) for cell in table.value[head]]
+            pages |= {(page, tab)} if found else set()
+            cells += found
+    assert {("lots", ""), ("lot", "audit"), ("station", "state")} <= pages
+    assert [cell for cell in cells if not str(cell).startswith(("[", "–"))] == []

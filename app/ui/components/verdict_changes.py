@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import streamlit as st
 
 from softcal.app.calibration.changes import VerdictChange
-from softcal.app.ui.panels import table, unit_link
+from softcal.app.ui.panels import lot_link, table, unit_link
 from softcal.app.ui.presentation import localize, translate, verdict_word
 from softcal.core.lot import UnitKey
 
@@ -18,7 +18,7 @@ def draw_changes(changed: Sequence[VerdictChange]) -> None:
         (
             {
                 translate("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
-                translate("choose.lot"): one.lot_id,
+                translate("choose.lot"): lot_link(one.lot_id),
                 translate("limits.now.verdict"): verdict_word(one.verdict),
                 translate("limits.then.verdict"): verdict_word(one.next_verdict),
                 translate("column.reasons"): localize([one.reason]),

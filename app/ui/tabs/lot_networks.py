@@ -11,7 +11,7 @@ from softcal.app.ui.actions import ask_reason, finish, role_allows, show_finishe
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.verdict_changes import draw_changes
 from softcal.app.ui.panels import drop_empty_columns, headline, rest_may_follow, table
-from softcal.app.ui.presentation import empty, format_instant, translate
+from softcal.app.ui.presentation import colours, empty, format_instant, translate
 from softcal.app.ui.server_cache import registry, remembered_network_changes
 from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
@@ -143,6 +143,7 @@ def _loss(job: Job, lot: Lot) -> None:
     if trace.get("epoch"):
         names = {name: translate(f"networks.{name}") for name in ("epoch", "train", "validation")}
         spec = loss_spec(trace, lot.reference_unit, names | {"train": translate("networks.training_error")})
+        spec["color"] = [colours().mapped, colours().raw]
         st.echarts_chart(spec, height=300, key=f"loss-{job.job_id}")
 
 

@@ -112,7 +112,7 @@ def _statement(status: LotStatus) -> None:
         if audits:
             table(
                 {
-                    translate("column.serial"): audit.serial,
+                    translate("column.serial"): unit_link(UnitKey(audit.lot_id or lot_id, audit.serial)),
                     translate("release.forecast"): number(audit.forecast_rmse, unit, limit),
                     translate("release.measured"): number(audit.measured_rmse, unit, limit),
                 }
@@ -161,4 +161,4 @@ def _archive(lot_id: str) -> None:
         if refused := job.result["refused"]:
             st.caption(translate("release.refused", count=len(refused)))
             with st.expander(translate("release.refused.which")):
-                table([{translate("column.serial"): serial} for serial, _ in refused])
+                table([{translate("column.serial"): unit_link(UnitKey(lot_id, serial))} for serial, _ in refused])

@@ -24,7 +24,7 @@ from softcal.app.ui.components.station_run import (
     run_panel,
     switch_simulated_station,
 )
-from softcal.app.ui.panels import numbers, rest_may_follow, show_figure, table
+from softcal.app.ui.panels import lot_link, numbers, rest_may_follow, show_figure, table, unit_link
 from softcal.app.ui.presentation import (
     colours,
     empty,
@@ -39,6 +39,7 @@ from softcal.app.ui.server_cache import registry
 from softcal.app.views.common import number
 from softcal.app.views.station import bounds, golden_units
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 from softcal.core.messages.reason import Reason
 from softcal.core.orders import OrderKind
 from softcal.core.profiles import BUILT_IN
@@ -64,8 +65,8 @@ def draw_state() -> None:
             {
                 translate("column.made"): format_instant(order.created),
                 translate("column.kind"): translate(f"order.{order.kind}"),
-                translate("column.serial"): order.serial,
-                translate("choose.lot"): order.lot_id,
+                translate("column.serial"): order.serial and unit_link(UnitKey(order.lot_id, order.serial)),
+                translate("choose.lot"): order.lot_id and lot_link(order.lot_id),
                 translate("station.result"): translate(f"run.{progress.state}"),
                 translate("column.remark"): localize(progress.message),
                 translate("column.actor"): order.actor,
@@ -211,7 +212,8 @@ def draw_cells() -> None:
     for unit in golden_units(registry()):
         last = unit.runs[-1]
         word = translate("golden.passed" if last.passed else "golden.failed")
-        st.markdown(f"**{unit.serial}** · {unit.lot_id} · {unit.station} · {word}")
+        key = UnitKey(unit.lot_id, unit.serial)
+        st.markdown(f"**{unit_link(key).markdown}** · {lot_link(unit.lot_id).markdown} · {unit.station} · {word}")
         show_figure(
             golden_figure(unit.runs, unit.chart, colours(), translate),
             f"golden-{unit.station}-{unit.lot_id}-{unit.serial}",
