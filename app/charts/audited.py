@@ -34,6 +34,7 @@ def estimate_over_reference(view: AuditedView, colours: Palette, translate: Tran
             figure.add_scatter(
                 x=diagonal, y=diagonal + shift, mode="lines", line=dashed, showlegend=shift > 0, **limit_style
             )
+    figure.update_layout(legend_itemsizing="constant")
     title = f"{translate('chart.reference')}: {view.lot.reference_quantity} [{unit}]"
     return apply_style(figure, colours, title, f"{translate('chart.estimate')} [{unit}]")
 

@@ -40,7 +40,7 @@ def apply_theme(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go
         font={"family": FONTS, "color": colours.text, "size": 13},
         hoverlabel={"bgcolor": colours.grid, "font_color": colours.text},
         # Above the figure, not so far above the bars: where its names wrap they would come to lie over these.
-        legend={"orientation": "h", "itemsizing": "constant", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0},
+        legend={"orientation": "h", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0},
     )
 
 
@@ -70,7 +70,7 @@ def both_ways(
         x, y = load[rows], output[rows]
         at = thinning_slice(x, max_points)
         dots(figure, x[at], y[at], colour, translate(f"chart.{name}"), size, opacity=0.6)
-    return figure
+    return figure.update_layout(legend_itemsizing="constant")
 
 
 def axis_titles(figure: go.Figure, row: int, y_title: str, x_title: str | None = None) -> None:

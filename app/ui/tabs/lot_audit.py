@@ -157,7 +157,7 @@ def _plan(audit: LotAudit, lot: Lot) -> None:
         (
             (translate("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
             (translate("lot.limit"), limit_number(limit, unit), None),
-            (translate("audit.result.beyond"), "–" if statement is None else str(len(statement.failed)), None),
+            (translate("audit.beyond"), "–" if statement is None else str(len(statement.failed)), None),
         )
     )
     if statement is not None:
