@@ -242,14 +242,12 @@ class LotDecisionEntry:
 
 @dataclass(frozen=True)
 class Draw:
-    """A random sample of a lot, stored before its audits: forecasts by serial, the limit, and the time (UTC)."""
+    """A random sample of a lot, stored before its audits: forecasts by serial, and the time (UTC)."""
 
     lot_id: str
     plan: "AuditPlan"
     forecasts: Mapping[str, float]
-    limit_rmse: float
-    limit_unit: str
-    made_at: datetime | None = None
+    made_at: datetime
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.texts.reasons import Translator
 from softcal.core.errors import InputError
-from softcal.core.messages.reason import DOUBT
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, evaluate_audit, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.db.entries import Draw, UnitEntry
@@ -48,7 +47,7 @@ class Sample:
 
 def _draw_instants(draws: Sequence[Draw]) -> dict[str, datetime]:
     """Return when each unit was first drawn at random, UTC."""
-    return {serial: one.made_at for one in reversed(draws) if one.made_at for serial in one.plan.random}
+    return {serial: one.made_at for one in reversed(draws) for serial in one.plan.random}
 
 
 def find_random_audits(registry: Registry, lot_id: str) -> frozenset[str]:
@@ -72,15 +71,21 @@ def audited_sample(registry: Registry, lot_id: str) -> Sample:
 
 @dataclass(frozen=True, eq=False)
 class LotAudit:
-    """Where the audit of a lot stands: forecast RMSE by serial when the plan was drawn, and RMSE
-    against the load cell since. The statement says what they tell of the lot once all were
-    measured.
+    """Where the audit of a lot stands.
+
+    Args:
+        forecasts: RMSE by serial when the plan was drawn.
+        limit: in force.
+        measured: RMSE against the load cell, of units drawn at random since the draw.
+        measured_before: the same of units that were drawn at random afterwards: they are no sample.
+        statement: what they say of the lot once all were measured; None before, and without a stated limit.
     """
 
     plan: AuditPlan
     forecasts: Mapping[str, float]
     limit: Limit
     measured: Mapping[str, float]
+    measured_before: Mapping[str, float]
     statement: LotStatement | None
 
     @property
@@ -91,10 +96,16 @@ class LotAudit:
     def rows(self) -> Iterator[tuple[str, str, float, float | None, str]]:
         """Each unit of the plan: serial, why it was drawn, forecast, measured, what that says."""
         for serial in self.plan.serials:
-            measured = self.measured.get(serial)
-            result = "within" if measured is None or measured <= self.limit.maximum_rmse else "beyond"
             cause = "doubtful" if serial in self.plan.doubtful else "random"
-            yield serial, cause, self.forecasts[serial], measured, "open" if measured is None else result
+            measured = self.measured.get(serial, self.measured_before.get(serial))
+            yield serial, cause, self.forecasts[serial], measured, self._result(serial)
+
+    def _result(self, serial: str) -> str:
+        if serial not in self.measured:
+            return "before" if serial in self.measured_before else "open"
+        if not self.limit.is_stated:
+            return "no_limit"
+        return "within" if self.measured[serial] <= self.limit.maximum_rmse else "beyond"
 
 
 def draw_plan(
@@ -124,10 +135,9 @@ def draw_plan(
     if not accepted:
         raise InputError(f"lot {lot_id!r} has no accepted unit yet; calibrate its units first")
     plan = plan_audit(accepted, config)
-    limit, forecasts = lot_limit(registry, lot_id), {serial: accepted[serial] for serial in plan.serials}
-    draw = Draw(lot_id, plan, forecasts, limit.maximum_rmse, limit.unit)
-    registry.declarations.add_draw(draw, config, actor=actor, reason=reason)
-    return _read_audit(registry, draw)
+    forecasts = {serial: accepted[serial] for serial in plan.serials}
+    registry.declarations.add_draw(lot_id, plan, forecasts, config, actor=actor, reason=reason)
+    return _read_audit(registry, registry.declarations.draws(lot_id)[-1])
 
 
 def lot_audit(registry: Registry, lot_id: str) -> LotAudit | None:
@@ -156,9 +166,10 @@ def audit_json(audit: LotAudit) -> dict[str, object]:
     return {
         "schema": "softcal.lot.audit/1",
         "plan": audit.plan.settings(),
-        "limit_rmse": audit.limit.maximum_rmse,
+        "limit_rmse": audit.limit.stated_rmse,
         "predicted_rmse": dict(audit.forecasts),
         "measured_rmse": dict(audit.measured),
+        "measured_before": dict(audit.measured_before),
         "missing": list(audit.missing),
         "verdict": None if audit.statement is None else audit.statement.word,
         "statement": statement,
@@ -170,6 +181,8 @@ LABELS = {
     "random": "random",
     "doubtful": "largest predicted error",
     "open": "to be measured",
+    "before": "measured before the draw",
+    "no_limit": "no limit was stated",
     "within": "within",
     "beyond": "misses the limit",
 }
@@ -184,21 +197,21 @@ def audit_line(audit: LotAudit) -> str:
     """Return in one line where the audit of a lot stands."""
     if audit.statement is None:
         missing = ", ".join(audit.missing[:8]) + (" ..." if len(audit.missing) > 8 else "")
-        return f"audit: {len(audit.measured)} of {len(audit.plan.serials)} units measured; still to press: {missing}"
+        to_do = f"still to press: {missing}" if missing else "no limit was stated, so nothing is said of the lot"
+        return f"audit: {len(audit.measured)} of {len(audit.plan.serials)} units measured since the draw; {to_do}"
     return f"audit: lot {audit.statement.word}: {audit.statement.text}"
 
 
 def _read_audit(registry: Registry, draw: Draw) -> LotAudit:
-    plan, limit = draw.plan, Limit(draw.limit_unit, draw.limit_rmse)
-    errors = {
-        unit.serial: unit.after_rmse
-        for unit in _targets(registry, draw.lot_id)
-        if not any(reason.code.startswith(DOUBT) for reason in unit.reasons)
-    }
+    plan, limit = draw.plan, lot_limit(registry, draw.lot_id)
+    errors = {unit.serial: unit.after_rmse for unit in _targets(registry, draw.lot_id)}
     measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
-    is_complete = len(measured) == len(plan.serials)
-    statement = evaluate_audit(plan, draw.forecasts, measured, limit) if is_complete else None
-    return LotAudit(plan, draw.forecasts, limit, measured, statement)
+    audits = newest_audits(registry, draw.lot_id)
+    early = {s for s in measured if s in plan.random and s in audits and audits[s].observed_at <= draw.made_at}
+    before, since = ({s: e for s, e in measured.items() if (s in early) == is_early} for is_early in (True, False))
+    is_complete = limit.is_stated and len(since) == len(plan.serials)
+    statement = evaluate_audit(plan, draw.forecasts, since, limit) if is_complete else None
+    return LotAudit(plan, draw.forecasts, limit, since, before, statement)
 
 
 def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:

@@ -85,14 +85,16 @@ def _draw_measurement(
     figure: go.Figure, view: UnitView, audit: AuditTrace, colours: Palette, translate: Translator
 ) -> None:
     """Draw estimate over reference, error over load and over time, each with the limit, and the loop."""
-    unit, limit = view.lot.reference_unit, view.stored.state.limit.maximum_rmse
+    unit, limit = view.lot.reference_unit, view.stored.state.limit.stated_rmse
     load = f"{view.lot.reference_quantity} [{unit}]"
     at, error = thinning_slice(audit.reference, POINTS), audit.estimate - audit.reference
     diagonal = np.array([audit.reference.min(), audit.reference.max()])
     x = np.concatenate([diagonal, diagonal[::-1]])
     band = {"fill": "toself", "fillcolor": colours.band, "line": {"width": 0}, "mode": "lines", "hoverinfo": "skip"}
-    name = translate("chart.limit.both", limit=limit_number(limit, unit))
-    figure.add_scatter(x=x, y=np.concatenate([diagonal + limit, (diagonal - limit)[::-1]]), name=name, **band, **FIRST)
+    name = "" if limit is None else translate("chart.limit.both", limit=limit_number(limit, unit))
+    if limit is not None:
+        y = np.concatenate([diagonal + limit, (diagonal - limit)[::-1]])
+        figure.add_scatter(x=x, y=y, name=name, **band, **FIRST)
     dots(figure, audit.reference[at], audit.estimate[at], colours.mapped, translate("chart.estimate"), 3, **FIRST)
     _titled(figure, FIRST, f"{translate('chart.reference')}: {load}", f"{translate('chart.estimate')} [{unit}]")
     for panel, abscissa, title in (
@@ -100,9 +102,10 @@ def _draw_measurement(
         (THIRD, audit.t_s, translate("chart.time")),
     ):
         dots(figure, abscissa[at], error[at], colours.mapped, translate("why.difference"), 3, **panel)
-        _key(figure, panel, name, colours.limit, "dash")
-        for level in (-limit, limit):
-            figure.add_hline(level, line={"color": colours.limit, "width": 1.5, "dash": "dash"}, **panel)
+        if limit is not None:
+            _key(figure, panel, name, colours.limit, "dash")
+            for level in (-limit, limit):
+                figure.add_hline(level, line={"color": colours.limit, "width": 1.5, "dash": "dash"}, **panel)
         _titled(figure, panel, title, f"{translate('chart.error')} [{unit}]")
     source = view.source
     for reference, output, colour, key in (
@@ -117,12 +120,12 @@ def _draw_measurement(
 def _draw_forecast(figure: go.Figure, view: UnitView, colours: Palette, translate: Translator) -> None:
     """Draw the parts of the predicted error: they add in quadrature, so that each begins where those before it end."""
     state, unit = view.stored.state, view.lot.reference_unit
-    forecast, unscaled, limit = state.forecast, state.fit.forecast, state.limit.maximum_rmse
+    forecast, unscaled, limit = state.forecast, state.fit.forecast, state.limit.stated_rmse
     every = contributions(state.fit)
     rising = np.sort([0.0, *every.values()])
     whole = float(np.hypot.reduce(rising))
     without = whole - np.sqrt(np.maximum(whole**2 - np.cumsum(rising**2), 0.0))
-    largest = rising[without < MIN_SHARE * limit].max(initial=0.0)
+    largest = rising[without < MIN_SHARE * state.limit.maximum_rmse].max(initial=0.0)
     parts = [(name, value) for name, value in every.items() if value > largest]
     levels = np.sqrt(np.cumsum([value**2 for _, value in parts])) if parts else np.zeros(0)
     starts, ends = np.concatenate([[0.0], levels[:-1]]), levels
@@ -146,11 +149,12 @@ def _draw_forecast(figure: go.Figure, view: UnitView, colours: Palette, translat
     spread = {"type": "data", "symmetric": False, "array": [above], "arrayminus": [below]}
     name = translate("column.predicted")
     dots(figure, [forecast.rmse], [name], colours.mapped, name, 12, symbol="diamond", error_x=spread, **FIRST)
-    figure.add_vline(limit, line={"color": colours.limit, "width": 2}, **FIRST)
-    _key(figure, FIRST, translate("chart.limit.named", limit=limit_number(limit, unit)), colours.limit, "solid")
+    if limit is not None:
+        figure.add_vline(limit, line={"color": colours.limit, "width": 2}, **FIRST)
+        _key(figure, FIRST, translate("chart.limit.named", limit=limit_number(limit, unit)), colours.limit, "solid")
     _titled(figure, FIRST, f"{translate('chart.error')} [{unit}]", "")
     # Room behind the last of them, so that the line of the limit stands inside.
-    figure.update_xaxes(range=[0.0, 1.05 * max(forecast.upper, limit)], **FIRST)
+    figure.update_xaxes(range=[0.0, 1.05 * max(forecast.upper, limit or 0.0)], **FIRST)
     figure.update_yaxes(autorange="reversed", **FIRST)
 
 
@@ -205,7 +209,7 @@ def explanation_json(view: UnitView) -> dict[str, object]:
         "method": {"id": fit.method.id, "numbers": dict(fit.method.to_json())},
         "predicted_rmse": forecast.rmse,
         "predicted_interval": [forecast.lower, forecast.upper],
-        "limit_rmse": state.limit.maximum_rmse,
+        "limit_rmse": state.limit.stated_rmse,
         "contributions": contributions(fit),
         "fit": {name: value for name, value in fit_to_json(fit).content.items() if name != "fitted"},
         "state": adjustments_to_json(state),

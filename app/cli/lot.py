@@ -136,15 +136,15 @@ def _release(options: argparse.Namespace) -> int:
         echo(f"{options.pdf}: statement on lot {lot_id}")
     content = {"lot": lot_id, "sample": statement.sample.to_json(), "provenance": statement.provenance.to_json()}
     if answer(options, "lot.release/1", content | status.to_json()):
-        limit = release.limit.maximum_rmse
+        limit = release.limit.stated_rmse
         rows = [
             [
                 *(a.serial, a.lot_id or lot_id, a.forecast_rmse, a.measured_rmse, a.ratio),
-                "within" if a.measured_rmse <= limit else "beyond",
+                None if limit is None else "within" if a.measured_rmse <= limit else "beyond",
             ]
             for a in sorted(release.audits, key=lambda audit: -audit.ratio)
         ]
-        print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "verdict"), rows)
+        print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "result"), rows)
         print(release.statement)
         print(f"sample: {statement.sample.render(partial(text, 'en'))}")
         print(f"released by sample: {', '.join(unit.serial for unit in status.on(Disposition.SAMPLED)) or 'none'}")
@@ -153,7 +153,7 @@ def _release(options: argparse.Namespace) -> int:
                 print(f"{name}: {unit.serial}: {'; '.join(map(str, unit.reasons))}")
             if len(units) > MAX_PRINTED:
                 print(f"{name}: and {len(units) - MAX_PRINTED} more; --json has all")
-    return DONE if release.released or not release.forecasts else SOME_UNIT_NOT_PASSED
+    return DONE if all(unit.verdict == "pass" for unit in status.units) else SOME_UNIT_NOT_PASSED
 
 
 def _folder(options: argparse.Namespace) -> None:

@@ -125,8 +125,8 @@ class LotView:
 
     @property
     def limit_rmse(self) -> float | None:
-        """The limit in the reference unit; None as `limit`."""
-        return None if self.limit is None else self.limit.maximum_rmse
+        """The stated limit in the reference unit; None where nobody stated one."""
+        return None if self.limit is None else self.limit.stated_rmse
 
     @property
     def total(self) -> int:
@@ -189,7 +189,7 @@ def lot_view(registry: Registry, lot_id: str, lot_filter: LotFilter = EVERY_RUN)
         tuple(errors),
         shares,
         shares.reasons,
-        process_view(runs, None if limit is None else limit.maximum_rmse),
+        process_view(runs, None if limit is None else limit.stated_rmse),
         yield_drop(runs),
         yield_over(of_units, lambda run: run.day(lot_filter.zone).isoformat()),
         yield_over(of_units, lambda run: run.station),

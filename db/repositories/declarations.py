@@ -87,18 +87,26 @@ class DeclarationTables(RegistryBase):
         """Return the declaration in force of one lot or station, or None."""
         return next(iter(self.in_force(name, owner)), None)
 
-    def add_draw(self, draw: Draw, config: AuditConfig, *, actor: str | None = None, reason: str = "") -> None:
-        """Store a draw with its units; its time is the registry's."""
-        newest = self.newest("draws", draw.lot_id) or {}
+    def add_draw(
+        self,
+        lot_id: str,
+        plan: AuditPlan,
+        forecasts: Mapping[str, float],
+        config: AuditConfig,
+        *,
+        actor: str | None = None,
+        reason: str = "",
+    ) -> None:
+        """Store a draw with its units, and the forecasts of these; its time is the registry's."""
+        newest = self.newest("draws", lot_id) or {}
         with self.database.writing():
-            key = {"lot_id": draw.lot_id, "made_at": self._after(newest.get("made_at")), "origin": self.origin}
-            values: dict[str, Any] = {"population": draw.plan.population, "allowed_share": draw.plan.allowed_share}
-            values |= {"seed": config.seed, "limit_rmse": draw.limit_rmse, "limit_unit": draw.limit_unit}
+            key = {"lot_id": lot_id, "made_at": self._after(newest.get("made_at")), "origin": self.origin}
+            values: dict[str, Any] = {"population": plan.population, "allowed_share": plan.allowed_share}
+            values |= {"seed": config.seed}
             write_values = {"actor": self._actor(actor), "reason": reason}
             self._store(draws, {**key, **write_values, **values}, "draw", actor, reason)
-            for serial in draw.plan.serials:
-                unit = {"serial": serial, "is_random": serial in draw.plan.random}
-                unit["predicted_rmse"] = draw.forecasts[serial]
+            for serial in plan.serials:
+                unit = {"serial": serial, "is_random": serial in plan.random, "predicted_rmse": forecasts[serial]}
                 self._store(drawn_units, {**key, **unit}, "draw", actor, reason)
 
     def draws(self, lot_id: str) -> list[Draw]:
@@ -115,7 +123,7 @@ def _draw(row: RowMapping, units: Collection[RowMapping]) -> Draw:
     random = tuple(sorted(one["serial"] for one in sampled if one["is_random"]))
     plan = AuditPlan(tuple(serial for _, serial in doubtful), random, row["population"], row["allowed_share"])
     forecasts = {one["serial"]: one["predicted_rmse"] for one in sampled}
-    return Draw(row["lot_id"], plan, forecasts, row["limit_rmse"], row["limit_unit"], row["made_at"])
+    return Draw(row["lot_id"], plan, forecasts, row["made_at"])
 
 
 def _key(table: Table, row: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -266,7 +266,7 @@ LISTS = {"lot_sources": source_networks, "known_loads": load_readings, "lot_stat
 draws = declaration_table(
     "draws",
     OF_LOT,
-    required(population=Integer, allowed_share=Double, seed=Integer, limit_rmse=Double, limit_unit=Text),
+    required(population=Integer, allowed_share=Double, seed=Integer),
 )
 drawn_units = table(
     "drawn_units",

@@ -48,6 +48,40 @@ def test_the_lot_is_judged_once_every_drawn_unit_was_measured(unaudited, registr
     assert _json(tmp_path, *plan)[1]["statement"] == report["audit"]["statement"]
 
 
+def test_an_audit_that_was_measured_before_the_draw_says_nothing_of_the_lot(lot_folder, registry_url, tmp_path):
+    _json(tmp_path, "batch", str(lot_folder), "--registry", registry_url, *SMALL)
+    plan = ("lot", "audit-plan", str(lot_folder), "--registry", registry_url)
+    code, drawn = _json(tmp_path, *plan, "--random", "2")
+    chosen = drawn["plan"]["random"]
+    assert code == 0 and drawn["verdict"] is None and drawn["missing"] == chosen and drawn["measured_rmse"] == {}
+    assert sorted(drawn["measured_before"]) == sorted(chosen)
+    # What is measured again afterwards counts.
+    for serial in chosen:
+        file = lot_folder / "audit" / f"{serial}.csv"
+        file.write_text("\n".join(file.read_text().splitlines()[:-1]) + "\n")
+    _, report = _json(tmp_path, "batch", str(lot_folder), "--registry", registry_url, *SMALL)
+    assert report["audit"]["missing"] == [] and sorted(report["audit"]["measured_rmse"]) == sorted(chosen)
+    assert report["audit"]["verdict"] is not None
+
+
+def test_without_a_stated_limit_nothing_is_said_of_the_lot(unaudited, registry_url, tmp_path, capsys):
+    folder, audits = unaudited
+    toml = folder / "lot.toml"
+    toml.write_text(toml.read_text().replace("[limit]\nrmse = 0.16\n", ""))
+    url = f"sqlite:///{tmp_path / 'unlimited.db'}"
+    batch = ("batch", str(folder), "--registry", url, *SMALL)
+    _json(tmp_path, *batch)
+    _json(tmp_path, "lot", "audit-plan", str(folder), "--registry", url, "--random", "3")
+    for name, text in audits.items():
+        (folder / "audit" / name).write_text(text)
+    _, report = _json(tmp_path, *batch)
+    assert len(report["audit"]["measured_rmse"]) == 3 and report["audit"]["limit_rmse"] is None
+    assert report["audit"]["verdict"] is None and report["audit"]["statement"] is None
+    # A limit that is stated later decides on what was measured since.
+    main(["lot", "limit", "small", "--registry", url, "--rmse", "5", "--reason", "drawing", "--yes"])
+    assert _json(tmp_path, "lot", "audit-plan", "small", "--registry", url)[1]["verdict"] == "pass"
+
+
 def test_a_measured_unit_beyond_the_limit_fails_the_lot(unaudited, registry_url, tmp_path):
     folder, audits = unaudited
     batch = ("batch", str(folder), "--registry", registry_url, *SMALL)

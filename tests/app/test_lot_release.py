@@ -112,7 +112,8 @@ def test_whoever_is_listed_as_released_has_the_verdict_pass(barred_by, make_lot,
         barred_by == "unreadable audit" or len(passed) < 4
     )
     capsys.readouterr()
-    main(["lot", "release", "large", "--registry", registry_url, "--json", "-"])
+    code = main(["lot", "release", "large", "--registry", registry_url, "--json", "-"])
+    assert code == int(len(passed) + len(measured) < len(report["units"]))
     assert sorted(json.loads(capsys.readouterr().out)["released"]) == sorted([*passed, *measured])
     assert sorted(decision_in_force(registry, "large").released) == passed
     assert str(len(passed) or "no unit") in report["release"]["statement"]

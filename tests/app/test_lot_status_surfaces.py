@@ -164,7 +164,7 @@ def check(history: History, tmp_path: Path) -> None:
         # Nothing passes beyond the limit in force, and nothing is judged by another one.
         limit, unit_statuses = lot_limit(registry, LOT), registry.pages.unit_statuses(LOT, list(truth))
         states = {serial: one.calibration.state for serial, one in unit_statuses.items() if one.calibration is not None}
-        assert view.limit_rmse == limit.maximum_rmse
+        assert view.limit_rmse == limit.stated_rmse
         for serial, one in states.items():
             if truth[serial] in ("pass", "conditional") and one.decision.is_audited:
                 assert one.scores.after.rmse <= limit.maximum_rmse, serial

@@ -1,16 +1,26 @@
 """Without a stated limit nothing passes: no word, no file, no paper and no release by sample says so."""
 
 import json
+import re
 import xml.etree.ElementTree as ET
+from functools import partial
 
 import pytest
 
 import softcal
+from softcal.app.calibration.release import read_lot_status
+from softcal.app.charts.explanation import explanation_page
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import build_certificate
 from softcal.app.export.certificates.dcc import certificate_xml
+from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
+from softcal.app.texts.catalogue import text
+from softcal.app.views.lot import lot_view
+from softcal.app.views.unit import unit_view
+from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
+from tests.app.pdf_text import read_text
 
 SMALL = ("--hidden", "16,8", "--no-own")
 LIMIT = "[limit]\nrmse = 0.16\n"
@@ -55,6 +65,27 @@ def test_no_unit_passes_and_no_file_is_written_whatever_was_measured(unlimited, 
     (folder / "lot.toml").write_text((folder / "lot.toml").read_text() + f"[limit]\nrmse = {derived!r}\n")
     _, report = batch(folder, url, tmp_path / "batch.json")
     assert {unit["verdict"] for unit in report["units"]} == {"pass"}
+
+
+def test_no_page_and_no_paper_holds_an_error_against_a_limit_that_nobody_stated(unlimited, tmp_path, capsys):
+    folder, url = unlimited
+    (folder / "audit").rename(folder.parent / "measured")
+    batch(folder, url, tmp_path / "batch.json")
+    assert main(["lot", "audit-plan", "small", "--random", "3", "--registry", url]) == 0
+    (folder.parent / "measured").rename(folder / "audit")
+    batch(folder, url, tmp_path / "batch.json")
+    with open_registry(url) as registry:
+        view, status = lot_view(registry, "small"), read_lot_status(registry, "small")
+        assert view.limit_rmse is None and view.process.capability is None
+        page = explanation_page(unit_view(registry, UnitKey("small", "A1")), script=False)
+        assert len(status.decided.audits) == 3
+        statement = build_lot_statement(registry, status, status.decided)
+        paper = lot_statement_pdf(statement, partial(text, "en"))
+    assert not re.search(r"[Ll]imit [0-9]", page)
+    assert "within" not in read_text(paper).split("What it means")[0]
+    capsys.readouterr()
+    main(["lot", "release", "small", "--registry", url])
+    assert not {"within", "beyond"} & set(capsys.readouterr().out.split())
 
 
 @pytest.mark.long

@@ -112,9 +112,10 @@ def lot_statement_pdf(statement: LotStatement, render: Translator = ENGLISH) -> 
 
 def _evidence_rows(statement: LotStatement, render: Translator) -> list[tuple[str, str]]:
     criterion, release = statement.decided.config, statement.decided.decision
-    audits, limit = statement.decided.audits, statement.decided.limit.maximum_rmse
+    audits, limit = statement.decided.audits, statement.decided.limit.stated_rmse
     lots = sorted({audit.lot_id or statement.lot.id for audit in audits})
-    counts = {"audits": len(audits), "beyond": sum(audit.measured_rmse > limit for audit in audits)}
+    beyond = "–" if limit is None else sum(audit.measured_rmse > limit for audit in audits)
+    counts = {"audits": len(audits), "beyond": beyond}
     audited = render("paper.audits.here", **counts)
     if lots not in ([], [statement.lot.id]):
         audited = render("paper.audits.lots", lots=", ".join(lots), **counts)
@@ -137,6 +138,7 @@ def _audit_table(statement: LotStatement, render: Translator) -> Flowable:
     rows = [[render(f"paper.column.{name}", unit=limit.unit) for name in names]]
     for a in audits[:MAX_AUDITS]:
         word = render("paper.within" if a.measured_rmse <= limit.maximum_rmse else "paper.beyond")
+        word = word if limit.is_stated else "–"
         errors = (format_error(value, limit.maximum_rmse) for value in (a.forecast_rmse, a.measured_rmse))
         rows.append([printable_serial(a.serial), a.lot_id or statement.lot.id, *errors, f"{a.ratio:.2f}", word])
     if len(audits) > MAX_AUDITS:

@@ -31,7 +31,7 @@ from softcal.app.ui.server_cache import (
     registry,
     remembered_confirmation,
 )
-from softcal.app.views.common import limit_number, number
+from softcal.app.views.common import number, render_limit
 from softcal.core.lot import Lot, UnitKey
 from softcal.core.quality.audit_plan import AuditConfig
 
@@ -156,7 +156,7 @@ def _plan(audit: LotAudit, lot: Lot) -> None:
     numbers(
         (
             (translate("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
-            (translate("lot.limit"), limit_number(limit, unit), None),
+            (translate("lot.limit"), render_limit(audit.limit, translate), None),
             (translate("audit.beyond"), "–" if statement is None else str(len(statement.failed)), None),
         )
     )

@@ -36,7 +36,7 @@ def draw_limits(lot_id: str) -> None:
         newest = versions[-1].version if versions else 0
         headline(translate("limits.now", limit=render_limit(view.limit, translate), version=newest))
         is_automatic = st.toggle(translate("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{lot_id}-{version}")
-        default = float(view.limit_rmse or view.median_predicted or 1.0)
+        default = float((view.limit and view.limit.maximum_rmse) or view.median_predicted or 1.0)
         label, step, key = (
             f"{translate('limits.new')} [{unit}]",
             float(f"{default / 10:.1g}"),

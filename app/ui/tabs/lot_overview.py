@@ -82,6 +82,7 @@ def _tiles(view: LotView) -> None:
         )
     # A sentence would be cut off in a tile.
     limit = translate("lot.limit.short" if view.limit is not None and not view.limit.is_stated else "lot.limit")
+    maximum = None if view.limit is None else view.limit.maximum_rmse
     numbers(
         (
             (translate("lot.units"), f"{view.decided} / {view.total}", translate("lot.units.help")),
@@ -91,7 +92,7 @@ def _tiles(view: LotView) -> None:
                 number(view.median_predicted, unit, view.limit_rmse),
                 translate("lot.predicted.help"),
             ),
-            (limit, limit_number(view.limit_rmse, unit), translate("lot.limit.help")),
+            (limit, limit_number(maximum, unit), translate("lot.limit.help")),
             scored if ratio is None else compared,
         )
     )
