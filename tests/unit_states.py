@@ -12,10 +12,10 @@ from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
 from softcal.core.unit.correspondence import find_correspondence
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.measured_error import AuditResult, MeasuredError, Scores
 from softcal.core.unit.method import LEVELS, Method
 from softcal.core.unit.output_level import LoadLine
-from softcal.core.unit.state import AuditResult, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast, Interval, IntervalInflation, Support
 from softcal.core.unit.verdict import Finding, Limit, Verdict
 

@@ -62,7 +62,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
     """Return the calibration without loss: map and interval, hashes, verdict and scores."""
     state = unit.state
     # The map and the interval in force, with all that they rest on.
-    in_force = FittedMap(state.unit_map, state.interval, unit.state.output_limits)
+    in_force = FittedMap(state.unit_map, state.interval, unit.state.fitted.output_limits)
     stored = fit_to_json(replace(state.fit, fitted=in_force))
     return {
         "serial": unit.serial,

@@ -32,7 +32,7 @@ def estimate_file(
     A row of `source` without a usable sample is `invalid`; rows whose window reaches over it are a `gap`.
     """
     lot, network, calibration = calibrated_unit(registry, serial, revision, lot_id)
-    config = calibration.method.inspection
+    config = calibration.fit.method.inspection
     file = inspect_recording(source, serial, lot.sample_rate_Hz, lot.output_unit, names=names, config=config)
     result = estimate(network, calibration, file.recording).spread(file.t_s, file.rows)
     numbers = [(name, getattr(result, name)) for name in COLUMNS[:-1]]

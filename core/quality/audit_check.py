@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.messages.reason import Reason, reason
+from softcal.core.unit.measured_error import AuditResult
 from softcal.core.unit.method import Method, ReleaseConfig
-from softcal.core.unit.state import AuditResult
 
 Readings = Mapping[str, AuditResult]
 SuspectAudits = dict[str, Reason]

@@ -8,10 +8,10 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.measured_error import MeasuredError
+from softcal.core.unit.measured_error import AuditResult, MeasuredError
 from softcal.core.unit.output_level import load_line, output_level
 from softcal.core.unit.scoring import score_map
-from softcal.core.unit.state import AuditResult, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.windows import evenly
 
 INSTANTS = 201

@@ -88,9 +88,9 @@ def estimate(network: Network, calibration: UnitState, recording: OutputRecordin
 
 def check_fits(network: Network, calibration: UnitState, output_unit: str) -> None:
     """Refuse a calibration of another network, or an output in another physical unit, with `InputError`."""
-    if calibration.network_id != network.id:
+    if calibration.fit.network_id != network.id:
         raise InputError(
-            f"unit {calibration.serial} was calibrated with network {calibration.network_id[:12]}, "
+            f"unit {calibration.serial} was calibrated with network {calibration.fit.network_id[:12]}, "
             f"this one is {network.id[:12]}; use the one it was calibrated with"
         )
     if output_unit != network.output_unit:
@@ -107,14 +107,14 @@ def evaluate_windows(
         newest: (n,) raw output of the newest sample of each.
         run: (n,) how many samples, it included, have had exactly this value.
     """
-    interval, limits = calibration.interval, calibration.output_limits
+    interval, limits = calibration.interval, calibration.fitted.output_limits
     value = network.evaluate(mapped)
     shape = interval.support.shape(mapped)
     distance = interval.support.distance(shape)
     half = interval.half(value, shape, distance)
     flag = np.full(len(value), "", dtype=FLAG_TYPE)
     flag[distance > interval.familiar_distance] = UNFAMILIAR
-    margin = calibration.method.range_margin * (interval.high - interval.low)
+    margin = calibration.fit.method.range_margin * (interval.high - interval.low)
     flag[(value < interval.low - margin) | (value > interval.high + margin)] = OUT_OF_RANGE
     flag[(newest <= limits.rail_low) | (newest >= limits.rail_high)] = SATURATED
     flag[run >= limits.stuck_samples] = STUCK

@@ -1,4 +1,4 @@
-"""A measured error with the rows it was made from: the one place that gives an error its interval."""
+"""What an audit measured: errors with the rows they were made from, and the map that they are errors of."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,6 +8,7 @@ import numpy as np
 from softcal.core.metrics import rmse
 from softcal.core.recording import Array
 from softcal.core.unit.budget import COVERAGE
+from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.windows import TAPS
 
@@ -69,3 +70,31 @@ class Scores:
     after: MeasuredError
     own: OwnCalibrationScores | None = None
     unscored: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditResult:
+    """What a labelled recording of the unit showed: an error with its rows, and the map that it is the error of.
+
+    Args:
+        map_id: of the state that was measured; another map has no measured error.
+        recording_sha256, output_sha256: of the audit, and of its output alone.
+        scores: errors of f on raw and mapped windows, with their rows.
+        line: of the estimates over the reference (least squares): gain 1 reads the loads in full.
+        fitted_line: the same of the map as it was fitted, before anything was taken off it.
+        unit_rest, audit_rest, span: output at rest in the unit's recording and in the audit, span of the former.
+        residual, half: (k,) |residual| and half-width of the 90 % interval at evenly spaced instants, before audits of
+            other units widened it, in the reference unit.
+    """
+
+    map_id: str
+    recording_sha256: str
+    output_sha256: str
+    scores: Scores
+    line: LoadLine
+    fitted_line: LoadLine
+    unit_rest: float
+    audit_rest: float
+    span: float
+    residual: tuple[float, ...]
+    half: tuple[float, ...]

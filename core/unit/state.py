@@ -2,7 +2,8 @@
 
 A state never changes; an act returns another one. Each act fills a slot of its own, and all that is said of a unit is
 computed from the slots. So acts on different slots commute, and no two statements about a unit can disagree
-(docs/decisions/0144-one-state-of-a-unit.md).
+(docs/decisions/0144-one-state-of-a-unit.md). The slots are in `fit.py`, `adjustments.py` (trim, correction, release),
+`measured_error.py` (audit) and `verdict.py` (limit, decision).
 """
 
 from dataclasses import dataclass, replace
@@ -15,10 +16,7 @@ from softcal.core.messages.reason import Reason, reason
 from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
 from softcal.core.unit.correspondence import Correspondence
 from softcal.core.unit.fit import Fit, FittedMap
-from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.measured_error import Scores
-from softcal.core.unit.method import Method
-from softcal.core.unit.output_level import LoadLine
+from softcal.core.unit.measured_error import AuditResult, Scores
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
 from softcal.core.unit.verdict import (
     Assessment,
@@ -28,34 +26,6 @@ from softcal.core.unit.verdict import (
     compare_with_audit,
     compare_with_limit,
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class AuditResult:
-    """What a labelled recording of the unit showed: an error with its rows, and the map that it is the error of.
-
-    Args:
-        map_id: of the state that was measured; another map has no measured error.
-        recording_sha256, output_sha256: of the audit, and of its output alone.
-        scores: errors of f on raw and mapped windows, with their rows.
-        line: of the estimates over the reference (least squares): gain 1 reads the loads in full.
-        fitted_line: the same of the map as it was fitted, before anything was taken off it.
-        unit_rest, audit_rest, span: output at rest in the unit's recording and in the audit, span of the former.
-        residual, half: (k,) |residual| and half-width of the 90 % interval at evenly spaced instants, before audits of
-            other units widened it, in the reference unit.
-    """
-
-    map_id: str
-    recording_sha256: str
-    output_sha256: str
-    scores: Scores
-    line: LoadLine
-    fitted_line: LoadLine
-    unit_rest: float
-    audit_rest: float
-    span: float
-    residual: tuple[float, ...]
-    half: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,18 +117,6 @@ class UnitState:
     @property
     def predicted_rmse(self) -> float:
         return self.forecast.rmse
-
-    @property
-    def network_id(self) -> str:
-        return self.fit.network_id
-
-    @property
-    def method(self) -> Method:
-        return self.fit.method
-
-    @property
-    def output_limits(self) -> OutputLimits:
-        return self.fitted.output_limits
 
     @property
     def scores(self) -> Scores | None:

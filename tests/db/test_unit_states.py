@@ -9,9 +9,9 @@ from sqlalchemy import func, select
 
 from softcal.core.messages.reason import plain, reason
 from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
-from softcal.core.unit.measured_error import MeasuredError, OwnCalibrationScores, Scores
+from softcal.core.unit.measured_error import AuditResult, MeasuredError, OwnCalibrationScores, Scores
 from softcal.core.unit.output_level import LoadLine
-from softcal.core.unit.state import AuditResult, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.state_json import adjustments_to_json
 from softcal.core.unit.uncertainty import IntervalInflation
 from softcal.core.unit.verdict import Limit
