@@ -90,7 +90,7 @@ def _preview_unit(preview: ImportPreview, source: ImportPreview | None, plan: Im
     is_rising = source.unit.labelled(plan.lot.reference_unit).direction > 0
     limits = output_limits(recording, source_output, is_rising, method)
     findings = contradictions(source_output, recording, limits, method) or health_findings(
-        recording, source_output, limits, method.health
+        recording, source_output, limits, method
     )
     return UnitPreview(*details, findings=tuple(finding.reason for finding in findings))
 

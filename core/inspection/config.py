@@ -65,7 +65,7 @@ class InspectionConfig:
         relaxed_gain: the same where the output follows the reference, as every sensor does a little.
         hold_rows: a reference that changes only every so many rows was sampled slower than the output.
         stuck_s, stuck_factor: a reading between its ends that stands still for less, or for less than so many times
-            the next longest stillness, is not stuck.
+            the next longest stillness, or than the source's longest, is not stuck.
         stuck_share: a reference is, where it stands still while the output goes through more than this share of its
             range; beside measured ones it goes through 0.4 % of it.
         flat_runs, flat_band, flat_factor: an end of the output's range is flat where it stands still there so often,

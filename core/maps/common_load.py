@@ -21,6 +21,9 @@ from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS, evenly
 
+ROUNDS, SETTLED = 20, 0.01
+"""The weights are found again until none moves by this share of the mean weight, or so many times."""
+
 
 @dataclass(frozen=True, eq=False)
 class LotUnit:
@@ -223,7 +226,7 @@ class SharedLoad:
         """
         is_covered = np.isfinite(estimates)
         weights, filled = np.ones(len(estimates)), np.where(is_covered, estimates, 0.0)
-        for _ in range(self._config.rounds):
+        for _ in range(ROUNDS):
             total, sums = weights @ is_covered, weights @ filled
             # A unit is held against the others alone: with few units it would else be its own witness.
             others = (total - weights[:, None] * is_covered), (sums - weights[:, None] * filled)
@@ -233,7 +236,7 @@ class SharedLoad:
             apart = np.sqrt(_mean_square(distance))
             fresh = 1.0 / (np.median(apart) ** 2 + apart**2 + 1e-300)
             fresh *= len(estimates) / fresh.sum()
-            is_settled = np.max(np.abs(fresh - weights)) < self._config.settled
+            is_settled = np.max(np.abs(fresh - weights)) < SETTLED
             weights = fresh
             if is_settled:
                 break

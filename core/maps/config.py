@@ -165,9 +165,6 @@ class PairConfig:
             source's.
         curve_stiffness: the same for the curve itself: it holds where f does not answer at all.
         tether: weight of the squared change of the window's shapes.
-        damping: Marquardt's, at the start.
-        settled, idle_steps: the descent ends after so many steps in a row that leave more than this share of the cost:
-            f is made of flat pieces, and a step across an edge of them gains little before the next gains much.
         blocks, every: stretches of which every fourth is held out to judge the window shapes by; with less than a
             window in each of them they hold out too little. Of an opening, too, every fourth part is held out.
         knot_range: quantiles of the unit's output between which the knots lie.
@@ -181,9 +178,6 @@ class PairConfig:
     stiffness: float = setting(2e-5, PAIRS_CHOSEN)
     curve_stiffness: float = setting(7e-8, PAIRS_CHOSEN)
     tether: float = setting(1e-3)
-    damping: float = setting(1e-3)
-    settled: float = setting(0.99)
-    idle_steps: int = setting(3)
     blocks: int = setting(32)
     every: int = setting(4)
     knot_range: tuple[float, float] = setting((0.001, 0.999))
@@ -198,7 +192,6 @@ class SharedLoadConfig:
         min_members: fewer units make no common load: of two that differ nobody can say which errs.
         max_groups: each unit is compared with the first of so many groups at most: the cost stays linear.
         instants: at which the weights are found, and maps compared with the common load.
-        rounds, settled: the weights are found again until none moves by this share of the mean weight.
         min_share: instants that units of less than this share of all weights cover are no part of the common load.
         outlying: a unit that so many times the usual difference is left of, once it is paired, was pressed otherwise.
         bands: of load over which the differences are compared.
@@ -211,8 +204,6 @@ class SharedLoadConfig:
     min_members: int = setting(3)
     max_groups: int = setting(8)
     instants: int = setting(2000)
-    rounds: int = setting(20)
-    settled: float = setting(0.01)
     min_share: float = setting(0.3)
     outlying: float = setting(4.0)
     bands: int = setting(8)

@@ -32,6 +32,13 @@ SYNCHRONOUS, STAGE_MATCHED, SHARED_LOAD = "synchronous", "stage_matched", "share
 MIN_WINDOWS = 4
 """Fewer windows fix no map; so few fix little more than gain and offset."""
 
+DAMPING = 1e-3
+"""Marquardt's, at the start."""
+
+SETTLED, IDLE_STEPS = 0.99, 3
+"""The descent ends after so many steps in a row that leave more than this share of the cost: f is made of flat pieces,
+and a step across an edge of them gains little before the next gains much."""
+
 
 @dataclass(frozen=True, eq=False)
 class DynamicMap:
@@ -164,8 +171,8 @@ class _Pairs:
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
         """Fit the curve, and the mix of the first `shapes` window polynomials where that is not 0."""
         # Imported here: whoever applies a map does not wait for scipy.
-        theta, config, count = np.concatenate([self._start, np.eye(shapes).ravel()]), self.config, len(self._knots)
-        cost, damping, idle = self._cost(theta, rows, shapes), config.damping, 0
+        theta, count = np.concatenate([self._start, np.eye(shapes).ravel()]), len(self._knots)
+        cost, damping, idle = self._cost(theta, rows, shapes), DAMPING, 0
         for _ in range(40):
             hessian, descent = self._normal_equations(theta, rows, shapes)
             first_damping = damping
@@ -180,10 +187,10 @@ class _Pairs:
                 damping *= 4
             else:
                 break
-            idle = idle + 1 if trial_cost > config.settled * cost else 0
+            idle = idle + 1 if trial_cost > SETTLED * cost else 0
             theta, cost = trial, trial_cost
             damping = max(damping / (10 if damping == first_damping else 4), 1e-6)
-            if idle == config.idle_steps:
+            if idle == IDLE_STEPS:
                 break
         return self._map(theta, shapes)
 

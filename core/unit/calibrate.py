@@ -79,7 +79,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
     findings = missing_findings(target, method) + jump_findings(target, method.inspection)
     if all(finding.best.is_open for finding in findings):
         findings += contradictions(source_recording, target, limits, method, fit.synchrony) or (
-            *health_findings(target, source_recording, limits, method.health),
+            *health_findings(target, source_recording, limits, method),
             *map_findings(model, pressed, evidence, lag),
             *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
         )

@@ -131,7 +131,7 @@ def output_limits(target: OutputRecording, source: OutputRecording, is_rising: b
     return OutputLimits(
         rail_low=-np.inf if clipped is None or is_rising else clipped,
         rail_high=np.inf if clipped is None or not is_rising else clipped,
-        stuck_samples=max(2 * longest, round(method.health.stuck_s * target.sample_rate_Hz)),
+        stuck_samples=max(2 * longest, round(method.inspection.stuck_s * target.sample_rate_Hz)),
     )
 
 
@@ -141,10 +141,10 @@ def clipped_share(output: Array, limits: OutputLimits) -> float:
 
 
 def health_findings(
-    target: OutputRecording, source: OutputRecording, limits: OutputLimits, config: HealthConfig
+    target: OutputRecording, source: OutputRecording, limits: OutputLimits, method: Method
 ) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
-    findings, unit = [], target.output_unit
+    findings, unit, config, stillness = [], target.output_unit, method.health, method.inspection
     if share := clipped_share(target.output, limits):
         rails = [level for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)]
         level = (
@@ -155,7 +155,7 @@ def health_findings(
         best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
         findings.append(Finding(reason("saturated", level=level, share=share), best))
     longest, allowed = (_longest_inner_run(recording, config.near_end) for recording in (target, source))
-    if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
+    if longest > max(stillness.stuck_factor * allowed, stillness.stuck_s * target.sample_rate_Hz):
         findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
     # Windows that a logger lost are not for want of presses.
     windows, presses = len(target.window_rows) + missing_windows(target)[1], count_presses(target, config)

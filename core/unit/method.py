@@ -55,8 +55,6 @@ class HealthConfig:
         visits: share of presses that end at a rail, beyond what the source shows at the same end, that is clipping.
         failing_share: more clipped samples than this and the unit fails.
         adc_steps: a flat stretch is at least so many steps of the converter wide.
-        stuck_s: a reading that does not move for less than this is never called stuck.
-        stuck_factor: nor one that the source shows a `stuck_factor`th of.
         dead_share: a channel that moves by less than this share of the source's span is dead.
         few_windows, few_presses: less than this is no firm verdict, and fewer presses at a rail are no clipping.
         span: quantiles between which an output is said to move.
@@ -71,8 +69,6 @@ class HealthConfig:
     visits: float = setting(0.2)
     failing_share: float = setting(0.05)
     adc_steps: float = setting(1.5)
-    stuck_s: float = setting(2.0)
-    stuck_factor: float = setting(10.0)
     dead_share: float = setting(0.02)
     few_windows: int = setting(500)
     few_presses: int = setting(3)

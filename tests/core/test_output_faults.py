@@ -20,7 +20,7 @@ def source(press):
 
 def kinds(target, source):
     limits = output_limits(target, source, is_rising=True, method=Method())
-    return [f.kind for f in health_findings(target, source, limits, HEALTH)]
+    return [f.kind for f in health_findings(target, source, limits, Method())]
 
 
 def test_run_lengths_count_equal_samples():
@@ -96,7 +96,7 @@ def test_a_reading_that_freezes_in_mid_range_asks_for_a_retest(press, source):
     start = int(np.flatnonzero(np.abs(output - 0.65) < 0.01)[0])
     output[start : start + 400] = output[start]
     pair = replace(press(2).unlabelled, output=output), source
-    found = health_findings(*pair, output_limits(*pair, is_rising=True, method=Method()), HEALTH)
+    found = health_findings(*pair, output_limits(*pair, is_rising=True, method=Method()), Method())
     assert [f.best for f in found if f.kind == "stuck"] == ["retest"]
 
 
