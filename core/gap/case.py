@@ -115,6 +115,10 @@ class Run:
     def __len__(self) -> int:
         return len(self.t_s)
 
+    def column(self, name: str) -> Array:
+        """Return a recorded column, (n,)."""
+        return np.asarray(getattr(self, name))
+
     @property
     def observed_rate_Hz(self) -> float:
         """Sample rate that the time stamps show."""

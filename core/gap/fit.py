@@ -86,7 +86,9 @@ class _Space:
         out, free = np.zeros((len(x), len(predicted))), np.flatnonzero(self.is_free)
         # One-sided: a central difference costs twice and gains nothing on kinked effects.
         steps = np.where(x + DIFFERENCE * self.scale > self.high, -1.0, 1.0) * DIFFERENCE * self.scale
-        self._problem.prepare([(self._hypothesis, x + steps * (np.arange(len(x)) == k)) for k in free])
+        self._problem.model.prepare(
+            self._problem, [(self._hypothesis, x + steps * (np.arange(len(x)) == k)) for k in free]
+        )
         for k, step in zip(free, steps[free], strict=True):
             # Where a simulator fails the other side tells; between two failures a parameter is held.
             for side in (step, -step):

@@ -93,10 +93,6 @@ class Model(ABC):
         """Return the recorded channels of a run that are predicted."""
 
     @abstractmethod
-    def recorded(self, run: Run, channel: str) -> Array:
-        """Return a recorded column of a run, (n,)."""
-
-    @abstractmethod
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
         """Return the least and the largest noise of a channel that is believed: one without any has no weight."""
 
@@ -276,16 +272,12 @@ class Problem:
 
     def recorded(self, run: int, channel: str) -> Array:
         """Return a recorded channel of a run, (n,)."""
-        return self.model.recorded(self.case.runs[run], channel)
+        return self.case.runs[run].column(channel)
 
     @cached_property
     def correlation_config(self) -> NoiseCorrelationConfig:
         """How noise that fades is read."""
         return self.method.colour.slower(self.model.times_slower(self.case))
-
-    def noise_range(self, channel: str) -> tuple[float, float]:
-        """Return the least and the largest noise of a channel that is believed."""
-        return self.model.noise_range(self, channel)
 
     @cached_property
     def priors(self) -> Sequence[Prior]:
@@ -427,10 +419,6 @@ class Problem:
     def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
         """Return how a prediction with these offsets in it changes with each of them."""
         return self.model.directions(self, hypothesis, coordinates, clean, sizes)
-
-    def prepare(self, points: Sequence[tuple[Hypothesis, Array]]) -> None:
-        """Make predictions at several places at once, where the model is quicker so."""
-        self.model.prepare(self, points)
 
     def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
         """Return the (samples,) prediction with these offsets in it, NaN where nobody can know."""

@@ -82,7 +82,9 @@ def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
 def noise_levels(result: Fit) -> dict[str, float]:
     """Return σ of the white noise per channel, within what is believed of it."""
     problem = result.problem
-    scatter = {c: float(np.clip(sigma, *problem.noise_range(c))) for c, sigma in scatter_of(result).items()}
+    scatter = {
+        c: float(np.clip(sigma, *problem.model.noise_range(problem, c))) for c, sigma in scatter_of(result).items()
+    }
     return {**problem.sigma, **scatter}
 
 
@@ -112,7 +114,7 @@ def noise_of(
     """Return white noise and, in these channels or where there already is one, the fading part."""
     levels, correlations, config = noise_levels(result), {}, result.problem.correlation_config
     for channel in result.problem.correlation if channels is None else channels:
-        smallest, largest = result.problem.noise_range(channel)
+        smallest, largest = result.problem.model.noise_range(result.problem, channel)
         if smallest == largest:
             continue
         noise = read_noise([_stretch(result, b) for b in result.problem.blocks_of(channel)], config)

@@ -53,7 +53,7 @@ def screen(result: Fit, candidates: Sequence[Probe]) -> list[Candidate]:
     space = Tangent(result)
     best: dict[str, Candidate] = {}
     candidates = [probe for probe in candidates if probe.effect.id not in result.ids]
-    result.problem.prepare([space.extended_start(probe) for probe in candidates])
+    result.problem.model.prepare(result.problem, [space.extended_start(probe) for probe in candidates])
     for probe in candidates:
         candidate = space.score_candidate(probe)
         if candidate is not None and (probe.effect.id not in best or candidate.gain > best[probe.effect.id].gain):

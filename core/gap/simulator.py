@@ -384,6 +384,9 @@ class SimulatorRun(Run):
             if len(values) != len(self.t_s) or not np.all(np.isfinite(values)):
                 raise InputError(f"{self.name}: {name} has {len(values)} samples or is not finite; t_s has {len(self)}")
 
+    def column(self, name: str) -> Array:
+        return self.columns[name]
+
     @property
     def skipped(self) -> int:
         """Samples at the start that are not compared."""

@@ -111,7 +111,7 @@ def likeliest(problem: Problem, hypothesis: Hypothesis, points: Sequence[Array])
         cost = energy(problem.residual(problem.predict(hypothesis, point), point))
         return cost if np.isfinite(cost) else np.inf
 
-    problem.prepare([(hypothesis, point) for point in points])
+    problem.model.prepare(problem, [(hypothesis, point) for point in points])
     return sorted(points, key=cost_at)
 
 
@@ -242,9 +242,6 @@ class SimulatorModel(ReportingModel):
 
     def channels_of(self, run: Run) -> tuple[str, ...]:
         return self.simulator.channels
-
-    def recorded(self, run: Run, channel: str) -> Array:
-        return cast(SimulatorRun, run).columns[channel]
 
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
         min_noise = 1e-9 * max(float(np.ptp(problem.measured[b.rows])) for b in problem.blocks_of(channel))

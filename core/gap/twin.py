@@ -98,9 +98,6 @@ class TwinModel(ReportingModel):
         alone = "output_V" if run.kind == "press" and run.stage_mm is None else ONLY_CHANNEL.get(run.kind)
         return (alone,) if alone else tuple(c for c in ("force_N", "output_V") if getattr(run, c) is not None)
 
-    def recorded(self, run: Run, channel: str) -> Array:
-        return np.asarray(getattr(run, channel))
-
     def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
         min_noise = 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
         return min_noise, np.inf

@@ -419,8 +419,8 @@ def test_extents_are_read_off_the_case():
 
 
 def test_noise_that_is_believed_has_a_least():
-    assert PROBLEM.noise_range("output_V") == (pytest.approx(0.1 * READOUT.step_V), np.inf)
-    assert PROBLEM.noise_range("force_N") == (pytest.approx(1e-6 * PROBLEM.scale.factor("N")), np.inf)
+    assert TWIN.noise_range(PROBLEM, "output_V") == (pytest.approx(0.1 * READOUT.step_V), np.inf)
+    assert TWIN.noise_range(PROBLEM, "force_N") == (pytest.approx(1e-6 * PROBLEM.scale.factor("N")), np.inf)
     assert PROBLEM.scored_channels == ["output_V", "force_N"] and TWIN.smooth_order == 1
     assert dither_of(PROBLEM) is None
     coarse = Problem(TWIN, case_of(run_of(readout=replace(READOUT, adc_bits=8))), {"force_N": 0.01, "output_V": 0.004})
