@@ -354,7 +354,7 @@ def candidate(
         place: the part of the mechanism it sits in; the report's `where`.
         parameters: the first is its size and has the neutral value that switches it off.
         probes: values at which a search begins; a fifth of the usual size where none are given.
-        hides_behind: candidates it is mistaken for.
+        confounders: candidates it is mistaken for.
     """
     if not parameters or parameters[0].neutral is None:
         raise InputError(f"candidate {name}: its first parameter must have the neutral value that switches it off")
