@@ -1,4 +1,8 @@
-"""A case for diagnosis: several runs of one unit on one rig, checked once when made; mistakes in them."""
+"""A case for diagnosis: several runs of one unit on one rig, checked once when made; its size; mistakes in it.
+
+Pads of 0.2 N and of 200 N, outputs in V or mV, strokes of 0.3 or 30 mm give the same diagnosis. Time is not scaled:
+creep, mains and clocks have their own.
+"""
 
 import re
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Fit base parameters and effects jointly to all runs; where a fit can move; the structure that it leaves."""
+"""Fit base and effects jointly to all runs; where a fit can move; the structure that it leaves; its evidence."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

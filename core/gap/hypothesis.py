@@ -13,7 +13,6 @@ from softcal.core.twin.simulate import Chain
 DIFFERENCE = 2e-4
 """Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
-
 LARGEST_LOG = float(np.log(np.finfo(np.float64).max))
 
 

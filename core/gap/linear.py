@@ -1,7 +1,4 @@
-"""The numerics of a fit: coordinates of parameters, bounds that grow with the rig, coloured noise.
-
-Pads of 0.2 N and of 200 N, outputs in V or mV, strokes of 0.3 or 30 mm give the same diagnosis. Time is not scaled:
-creep, mains and clocks have their own.
+"""The linear algebra of a fit: projections, run offsets within bounds, coloured noise.
 
 Noise that is not white has a part that fades beside a white one: a first-order process, correlation exp(−t/τ). A Kalman
 filter turns the sum into independent values of variance 1; it is the exact likelihood, for any step of time and with

@@ -1,4 +1,7 @@
-"""What is held against recordings, softcal's twin or somebody's simulator: what a diagnosis asks and reports."""
+"""A model that predicts recordings, softcal's twin or a foreign simulator; the problem of a fit; a fit.
+
+The three refer to one another: a model predicts the channels of a problem, and is asked what a fit leaves.
+"""
 
 from __future__ import annotations
 
