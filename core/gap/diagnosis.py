@@ -33,7 +33,7 @@ from softcal.core.gap.experiments import (
     propose_for_unmodelled,
     reasons,
 )
-from softcal.core.gap.fit import exact_log_evidence, log_evidences
+from softcal.core.gap.fit import exact_log_evidence, log_evidences, one_less
 from softcal.core.gap.model import Fit, Model
 from softcal.core.gap.residual import (
     ChannelGap,
@@ -337,7 +337,7 @@ def assess_search(search: Search) -> Assessment:
     # Causes that lower nothing on unseen samples are taken out of the best hypothesis.
     rejected: set[str] = set()
     while len(search.best.ids) > 1:
-        rest = search.one_less(search.best)
+        rest = one_less(search.fits, search.best)
         idle = unsupported(search.best, rest)
         if not idle:
             break
@@ -428,7 +428,7 @@ def _genuine_probabilities(
         genuine = {i: complete + (1.0 - complete) * chance for i, chance in consistent.items()}
         memo[ids] = dict(genuine)
         # Beside one that imitates, the others stand as they do without it.
-        for j, smaller in search.one_less(result).items():
+        for j, smaller in one_less(search.fits, result).items():
             without = _genuine_probabilities(search, smaller.ids, memo)
             memo[ids] |= {i: max(memo[ids][i], (1.0 - genuine[j]) * without[i]) for i in smaller.ids}
     return memo[ids]

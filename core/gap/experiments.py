@@ -13,7 +13,7 @@ import numpy as np
 from softcal.core.gap.case import MenuEntry, Run
 from softcal.core.gap.fit import fit, nuisance_rows
 from softcal.core.gap.hypothesis import fit_scale, start_coordinates
-from softcal.core.gap.linear import energy, gram
+from softcal.core.gap.linear import energy, gram, scaled_inverse
 from softcal.core.gap.method import IdentifiabilityConfig
 from softcal.core.gap.model import Fit, Fits, Problem
 from softcal.core.messages.reason import Reason, reason, several, with_sentences
@@ -240,7 +240,7 @@ class _Rows:
     causes: tuple[str, ...]
     gram: Array = field(repr=False)
     config: IdentifiabilityConfig
-    _inverses: dict[tuple[int, ...], tuple[Array, Array]] = field(default_factory=dict, repr=False)
+    _inverses: dict[tuple[int, ...], Array] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, result: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
@@ -303,12 +303,8 @@ class _Rows:
         """Return by what others imitate a row best."""
         others = tuple(others)
         if others not in self._inverses:
-            size = np.sqrt(np.diag(self.gram)[list(others)])
-            size = np.where(size > 0.0, size, 1.0)
-            scaled = self.gram[np.ix_(others, others)] / np.outer(size, size)
-            self._inverses[others] = size, np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
-        size, inverse = self._inverses[others]
-        return np.asarray(inverse @ (self.gram[list(others), row] / size) / size)
+            self._inverses[others] = scaled_inverse(self.gram[np.ix_(others, others)])
+        return np.asarray(self._inverses[others] @ self.gram[list(others), row])
 
     def shows(self, name: str) -> bool:
         """Whether a base parameter or a cause shows by enough, and is no offset."""

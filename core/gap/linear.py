@@ -20,6 +20,17 @@ def gram(rows: Array) -> Array:
     return np.asarray(rows @ rows.T)
 
 
+def scaled_inverse(normal: Array) -> Array:
+    """Return the pseudo-inverse of normal equations, (k, k), each row counted in its own size.
+
+    Two directions that samples cannot tell apart make them singular: so scaled, that does not depend on their units.
+    """
+    size = np.sqrt(np.diag(normal))
+    size = np.where(size > 0.0, size, 1.0)
+    scale = np.outer(size, size)
+    return np.asarray(np.linalg.pinv(normal / scale, rcond=1e-12, hermitian=True) / scale)
+
+
 def wave_sums(grid_Hz: Array, t_s: Array, values: Array) -> NDArray[np.complex128]:
     """Return Σ vₖ·exp(−2πi·f·tₖ), (m,), of (n,) values at (n,) times, for (m,) frequencies."""
     return np.array([values @ np.exp(-2j * np.pi * f * t_s) for f in grid_Hz])

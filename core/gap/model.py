@@ -15,7 +15,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case, DataMistake, MenuEntry, RigScale, Run, RunKind
 from softcal.core.gap.hypothesis import Hypothesis, Prior, Probe
-from softcal.core.gap.linear import NoiseCorrelation, bounded_sizes, energy, filter_of, filtered, gram
+from softcal.core.gap.linear import NoiseCorrelation, bounded_sizes, energy, filter_of, filtered, gram, scaled_inverse
 from softcal.core.gap.method import GapMethod, NoiseCorrelationConfig
 from softcal.core.recording import Array, Mask
 from softcal.core.twin.effects import Effect, Form, Parameter
@@ -558,14 +558,9 @@ class Fit:
     def covariance(self) -> Array:
         """(parameters, parameters) of the coordinates; rows of fixed parameters are 0."""
         normal = gram(self.jacobian)
-        free = np.flatnonzero(np.diag(normal) > 0)
+        free = np.ix_(*2 * (np.flatnonzero(np.diag(normal) > 0),))
         covariance = np.zeros_like(normal)
-        size = np.sqrt(np.diag(normal)[free])
-        # Two parameters that these samples cannot tell apart make the matrix singular: an inverse would fail. Each is
-        # counted in its own error, so that what is singular does not depend on its unit.
-        covariance[np.ix_(free, free)] = np.linalg.pinv(
-            normal[np.ix_(free, free)] / np.outer(size, size), rcond=1e-12, hermitian=True
-        ) / np.outer(size, size)
+        covariance[free] = scaled_inverse(normal[free])
         return covariance
 
     def under(self, problem: Problem) -> Fit:

@@ -108,7 +108,7 @@ class Search:
             self.settle_noise()
             if size == len(self._config.leads):
                 break
-            leader = self.leader
+            leader = leader_of(self.fits)
             is_promised = any(candidate.gain > self._config.gain for candidate in screen(leader, self._probes)[:1])
             # What promises nothing to first order must be placed to know.
             if not is_promised and not any(child.bic < leader.bic for child in self._grow_episodic(leader)):
@@ -116,7 +116,7 @@ class Search:
             ranked = sorted((f for f in self.fits.values() if len(f.ids) == size), key=lambda f: f.bic)
             # Several are grown on: the right pair often begins with the second-best single cause.
             parents = ranked[: self._config.beam[size - 1]]
-        if not self.model.is_clean(self.leader):
+        if not self.model.is_clean(leader_of(self.fits)):
             self.on_progress("fitting the likeliest causes from other starts")
             self.model.start_again(self.base, self.candidates, self.fits, self.store)
             self.settle_noise()
@@ -145,7 +145,7 @@ class Search:
         for _ in range(2):
             before = self.best
             # One cause in another form, another left out: that may be what the equation leaves.
-            for smaller in self.one_less(before).values():
+            for smaller in one_less(self.fits, before).values():
                 for cause in smaller.ids if len(smaller.ids) > 1 else ():
                     for form in self.model.forms_of(cause):
                         self.store(self._in_form(smaller, form))
@@ -154,13 +154,13 @@ class Search:
             self.best = self._max_likelihood_fit
         self._test_further_effects()
         # A departure outside the list stands alone or in the place of a cause.
-        parents = self.one_less(self.best).values() if len(self.best.ids) > 1 else ()
+        parents = one_less(self.fits, self.best).values() if len(self.best.ids) > 1 else ()
         self.unmodelled = best_unmodelled(self.best, [self.base, *parents], list(self.fits.values()))
 
     def keep_not_excluded(self) -> None:
         """Take causes that a free form of the others imitates out of the best; they stay in play."""
         while len(self.best.ids) > 1:
-            smaller = {i: result for i, result in self.one_less(self.best).items() if self.is_explained(result)}
+            smaller = {i: result for i, result in one_less(self.fits, self.best).items() if self.is_explained(result)}
             with_surrogate = causes_with_surrogate(self.best, smaller)
             if not with_surrogate:
                 break
@@ -170,10 +170,6 @@ class Search:
         for effect_id, larger in self.not_excluded.items():
             alone = tuple(sorted({*self.best.ids, effect_id}))
             self.not_excluded[effect_id] = self.fits.get(alone, larger)
-
-    def one_less(self, result: Fit) -> dict[str, Fit]:
-        """Return the fits without each of the causes of a hypothesis, by that cause."""
-        return one_less(self.fits, result)
 
     def _test_further_effects(self) -> None:
         """Fit what may stand beside the best hypothesis: small or hidden effects."""
@@ -194,7 +190,7 @@ class Search:
                 closest = min(larger, key=lambda result: result.chi2)
                 self.store(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
             # Effects that hide promise little: they are fitted in the place of each cause.
-            for rest in self.one_less(parent).values():
+            for rest in one_less(self.fits, parent).values():
                 for probe in hiding(rest, self._probes, self._config.hiding) if rest.ids else ():
                     if tuple(sorted({*rest.ids, probe.effect.id})) not in self.fits:
                         start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
@@ -227,11 +223,6 @@ class Search:
             return True
         enough = self._config.enough
         return self.share(result) >= enough[min(len(result.ids), len(enough)) - 1]
-
-    @property
-    def leader(self) -> Fit:
-        """The hypothesis of best evidence in white noise: the one to grow further."""
-        return leader_of(self.fits)
 
     def _in_form(self, result: Fit, form: Form) -> Fit:
         at = [e.id for e in result.effects].index(form.effect.id)
@@ -292,7 +283,7 @@ class Search:
 
     def settle_noise(self) -> None:
         """Score all hypotheses under the noise that the best one leaves: their χ² compare."""
-        best = self.leader
+        best = leader_of(self.fits)
         problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
         self.fits = {ids: result.under(problem) for ids, result in self.fits.items()}
         if problem.correlation:

@@ -511,10 +511,6 @@ class _Calls:
         self.simulator, self._runs = simulator, runs
         self.names: set[str] = set()
         self.is_iterated = False
-        # Watched where the user's own code reads: what a simulator does before that reads every name.
-        self._recorded = replace(simulator, run=self._record_call)
-        self._constant_probes: Mapping[str, float] = {}
-        self._read = _ReadNames({})
 
     def first(self, values: Mapping[str, float]) -> Array:
         """Return the channels of the first run, one after another."""
@@ -538,21 +534,23 @@ class _Calls:
     def _run(self, run: SimulatorRun, values: Mapping[str, float], swings: Columns | None = None) -> Array:
         recorded = run.driving(self.simulator.inputs) | dict(swings or {})
         inputs = {name: column.copy() for name, column in recorded.items()}
-        channels = self._recorded(inputs, values)
-        self.names |= self._read.names
-        self.is_iterated |= self._read.is_iterated
+        given: dict[str, float] = {}
+        read = _ReadNames({})
+
+        # Watched where the user's own code reads: what a simulator does before that reads every name.
+        def run_watched(columns: Columns, parameters: Mapping[str, float]) -> Columns:
+            given.update(parameters)
+            read.update(parameters)
+            return self.simulator.run(columns, read)
+
+        channels = replace(self.simulator, run=run_watched)(inputs, values)
+        self.names |= read.names
+        self.is_iterated |= read.is_iterated
         self._refuse_written(inputs, recorded, "copy its inputs before changing them")
-        changed = {name: np.asarray(dict.get(self._read, name)) for name in self._constant_probes}
-        self._refuse_written(
-            changed, {name: np.asarray(v) for name, v in self._constant_probes.items()}, "copy the parameters"
-        )
+        self._refuse_written({name: dict.get(read, name) for name in given}, given, "copy the parameters")
         return np.concatenate([channels[name] for name in self.simulator.channels])
 
-    def _record_call(self, inputs: Columns, parameters: Mapping[str, float]) -> Columns:
-        self._constant_probes, self._read = dict(parameters), _ReadNames(parameters)
-        return self.simulator.run(inputs, self._read)
-
-    def _refuse_written(self, after: Columns, before: Columns, cure: str) -> None:
+    def _refuse_written(self, after: Mapping[str, Any], before: Mapping[str, Any], cure: str) -> None:
         for name, values in before.items():
             if not np.array_equal(after[name], values):
                 raise refused(self.simulator, f"writes into {name}; {cure}")

@@ -13,7 +13,7 @@ from softcal.core.gap.diagnosis import DiagnosisVerdict, assess_search
 from softcal.core.gap.empirical import learn_residual, splits
 from softcal.core.gap.evidence import fault_locations, nearest, partial_of, ranked_causes, regime_locations
 from softcal.core.gap.experiments import identifiability, propose_experiment, reasons
-from softcal.core.gap.fit import Regime, fit
+from softcal.core.gap.fit import Regime, fit, one_less
 from softcal.core.gap.hypothesis import Hypothesis
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import gap_of_base, on_unseen, quantify, unsupported
@@ -395,8 +395,8 @@ def test_a_share_is_of_what_the_base_leaves_above_the_noise():
 def test_one_less_are_the_sets_without_each_cause():
     search = hand_search()
     both = search.fits["bend", "ripple"]
-    assert {i: f.ids for i, f in search.one_less(both).items()} == {"bend": ("ripple",), "ripple": ("bend",)}
-    assert {i: f.ids for i, f in search.one_less(search.fits["bend",]).items()} == {"bend": ()}
+    assert {i: f.ids for i, f in one_less(search.fits, both).items()} == {"bend": ("ripple",), "ripple": ("bend",)}
+    assert {i: f.ids for i, f in one_less(search.fits, search.fits["bend",]).items()} == {"bend": ()}
 
 
 def test_of_two_fits_of_one_set_the_likelier_is_kept():
