@@ -16,7 +16,7 @@ from softcal.app.calibration.release import decide_lot
 from softcal.app.registry.lot_recordings import source_model, target_serials, unlabelled
 from softcal.app.registry.trimmed import trim_stored
 from softcal.core.errors import ChangedMeanwhile
-from softcal.core.maps.common_load import find_groups
+from softcal.core.maps.common_load import SPREAD, find_groups
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.shared_load import LotFit, fit_lot
 from softcal.core.maps.source_bias import SourceBias, compare_sources
@@ -99,12 +99,13 @@ def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False
     number = in_force.number + 1
     lot = _Lot(registry, lot_id, number)
     if is_withdrawal:
-        states = {serial: lot.alone(serial) for serial, one in lot.states.items() if one.fit.lot_fit is not None}
+        states = {serial: lot.fitted(serial) for serial in lot.states if lot.is_fitted(serial)}
         return LotFitPlan(lot_id, number, states, before=lot.revisions, is_withdrawal=True)
     states, alone, is_open = dict[str, UnitState](), dict[str, Reason](), set[str]()
     fits = lot.fits()
     biases = compare_sources({network: fits[network].groups for network in lot.sources if network in fits}, lot.config)
     stand_alone = {serial for fit in fits.values() for serial in fit.outliers}
+    unfitted = {serial for serial in lot.states if lot.is_fitted(serial)}
     for network, fit in fits.items():
         for group in fit.groups:
             together = [serial for serial in group.members if serial not in stand_alone]
@@ -118,14 +119,18 @@ def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False
             states |= {serial: lot.fitted(serial, maps[serial]) for serial in changed}
             if any(lot.is_for_person(serial) for serial in changed):
                 is_open.update(changed)
+        spread = {serial: one.press_spread for serial, one in fit.units.items() if one.press_spread}
+        for serial, share in spread.items():
+            if not lot.has_spread(serial, share):
+                states[serial] = lot.fitted(serial, press_spread=share)
+                is_open |= {serial} if lot.is_for_person(serial) else set()
+        unfitted -= {*fit.members, *spread}
     members = {serial for fit in fits.values() for serial in fit.members}
     # Where few share a load, the others are the rule, and no outliers.
     codes = OUTLIER_CODES if 2 * len(members) > len(lot.states) else OUTLIER_CODES[:-1]
     alone |= {s: cause for fit in fits.values() for s, cause in fit.outliers.items() if cause.code in codes}
-    for serial, state in lot.states.items():
-        if state.fit.lot_fit is not None and serial not in members:
-            states[serial] = lot.alone(serial)
-            is_open.add(serial)
+    states |= {serial: lot.fitted(serial) for serial in unfitted}
+    is_open |= unfitted
     if in_force.is_withdrawn:
         is_open.update(states)
     return LotFitPlan(
@@ -263,13 +268,18 @@ class _Lot:
 
     def is_for_person(self, serial: str) -> bool:
         """Whether only a person may change it: it rests on a lot fit already, or a person rolled it back."""
-        is_fitted = self.states[serial].fit.lot_fit is not None
-        return is_fitted or self._registry.calibrations.was_decided_by("rollback", self._lot_id, serial)
+        return self.is_fitted(serial) or self._registry.calibrations.was_decided_by("rollback", self._lot_id, serial)
 
-    def alone(self, serial: str) -> UnitState:
-        return self.fitted(serial, None)
+    def is_fitted(self, serial: str) -> bool:
+        """Whether a fit of the lot gave it its map, or the spread of the press in its forecast."""
+        fit = self.states[serial].fit
+        return fit.lot_fit is not None or any(remark.code == SPREAD for remark in fit.remarks)
 
-    def fitted(self, serial: str, lot_map: LotMap | None) -> UnitState:
+    def has_spread(self, serial: str, share: float) -> bool:
+        """Whether this spread of the press is in its forecast already."""
+        return reason(SPREAD, share=share) in self.states[serial].fit.remarks
+
+    def fitted(self, serial: str, lot_map: LotMap | None = None, press_spread: float = 0.0) -> UnitState:
         """Return a unit by a map of the lot fit, or by its own; its audit is scored by that map."""
         state, start_s = self.states[serial], time.perf_counter()
         networks = self.sources if state.fit.network_id in self.sources else [state.fit.network_id]
@@ -287,7 +297,12 @@ class _Lot:
         # What is known of its audit stays: it is not trained anew.
         new = calibrate(
             replace(
-                problem, own_calibration=own_error, unread_audit=unread, lot_map=lot_map, reference=state.fit.reference
+                problem,
+                own_calibration=own_error,
+                unread_audit=unread,
+                lot_map=lot_map,
+                press_spread=press_spread,
+                reference=state.fit.reference,
             )
         )
         seconds = (state.fit.fit_s or 0.0) + time.perf_counter() - start_s

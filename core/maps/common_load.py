@@ -23,6 +23,8 @@ from softcal.core.windows import TAPS, evenly
 
 ROUNDS, SETTLED = 20, 0.01
 """The weights are found again until none moves by this share of the mean weight, or so many times."""
+SPREAD = "lot_fit.spread"
+"""Code of the reason why units whose presses differ keep their own maps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,12 @@ class LotUnit:
     moved_rmse: float = 0.0
     unit_rmse: float = 0.0
     reason: Reason | None = None
+
+    @property
+    def press_spread(self) -> float:
+        """By how much of the load its presses differ from those of the others; 0 where that keeps no map alone."""
+        is_spread = self.reason is not None and self.reason.code == SPREAD
+        return float(str(self.reason.values["share"])) if self.reason is not None and is_spread else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +306,7 @@ class SharedLoad:
         """Why the maps are not paired with the common load; None where they are."""
         inside, cause = self._inside, None
         if self.growth > self._config.max_growth:
-            cause = reason("lot_fit.spread", share=self.growth)
+            cause = reason(SPREAD, share=self.growth)
         elif len(inside) < self._config.min_members:
             cause = reason("lot_fit.few", count=len(inside))
         if cause is not None:

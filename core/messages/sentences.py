@@ -350,7 +350,7 @@ still: its output stays at one value; press the unit and record it again ({level
 still.shared: its output stays at one value under the loads it shares with the source; check its
   cable, then record it again ({level:.6g} {unit})
 lot_fit.alone: it shares no load in time with other units of the lot; its map is its own
-lot_fit.changes: lot fit {number}: maps changed (units: {count})
+lot_fit.changes: lot fit {number}: maps or intervals changed (units: {count})
 lot_fit.few: too few share a load in time (units: {count}); each keeps its own map
 lot_fit.known: its load is known better than by other units: its map rests on pairs or known loads
 lot_fit.member: its map comes from lot fit {number}: it is paired with the load that units share (units: {units}), which
@@ -368,7 +368,7 @@ lot_fit.source.low: source {serial}: its network reads this lot {bias:.3g} {unit
 lot_fit.source.two: source {serial}: its network and that of the other source read this lot {rmse:.3g} {unit} apart; of
   two sources nobody can say which one errs: audit a unit or bring a golden run of its sitting
 lot_fit.spread: the units differ more the harder they are pressed, by {share:.1%} of the load: the press differs from
-  unit to unit, so they share no load; each keeps its own map
+  unit to unit, so they share no load; each keeps its own map, and the spread is in its forecast
 not_synchronous: unit and source were not pressed by one load at the same time; press them together,
   or choose another map (rank correlation {correlation:.2f})
 few.times: too little of the recording lies at the same times as the source's; record both for

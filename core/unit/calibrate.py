@@ -70,7 +70,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         limits,
         other_maps(fit, chosen, method, reference_rmse=0.0 if correction is None else correction.reference_rmse),
         is_anchored=problem.anchors is not None,
-        line=problem.line,
+        line_share=problem.line_share,
         day_rmse=0.0 if correction is None else correction.day_rmse,
         lot_fit=None if lot_map is None else lot_map.part,
     )

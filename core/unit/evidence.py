@@ -22,7 +22,6 @@ from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, LabelledRecording, Mask, OutputRecording
 from softcal.core.unit.correspondence import SHARED, Correspondence, find_correspondence
 from softcal.core.unit.health import OutputLimits, clipped_share
-from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.lot_fit_part import LotFitPart
 from softcal.core.unit.method import ForecastConfig, Method
 from softcal.core.unit.source_model import SourceModel, unit_difference
@@ -180,13 +179,14 @@ def gather_evidence(
     limits: OutputLimits,
     others: OtherMaps = OtherMaps(),  # noqa: B008 - frozen
     is_anchored: bool = False,
-    line: LineSpread | None = None,
+    line_share: float = 0.0,
     day_rmse: float = 0.0,
     lot_fit: LotFitPart | None = None,
 ) -> MapEvidence:
     """Collect the budget of one unit from its map and from other maps that fit its recording too.
 
-    `day_rmse` is what the day of the recording changes, as a golden run showed it, in the reference unit.
+    `line_share` is what the line adds, as a share of the load; `day_rmse` what the day of the recording changes, as a
+    golden run showed it, in the reference unit.
     """
     config, network, interval, operation = (
         model.method.forecast,
@@ -232,8 +232,8 @@ def gather_evidence(
         "gain": others.gain_error * load_rms,
         **_stage_terms(model, target, unit_map, estimate if len(rows) == len(target.windows) else None),
     }
-    if line is not None:
-        budget[LINE] = line.share * load_rms
+    if line_share:
+        budget[LINE] = line_share * load_rms
     if day_rmse:
         budget[DAY] = day_rmse
     if lot_fit is not None:

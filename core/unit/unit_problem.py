@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
+from softcal.core.maps.common_load import SPREAD
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import rms
@@ -41,6 +42,7 @@ class UnitProblem:
         rules: identities of the rules of other packages that may hold the unit back; those installed here by default.
         unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
         lot_map: what the fit of its lot gives it; None where it is mapped by itself.
+        press_spread: share of the load by which the fit of its lot saw the presses differ; 0 where it saw nothing.
     """
 
     source: SourceModel
@@ -56,6 +58,7 @@ class UnitProblem:
     rules: tuple[str, ...] = field(default_factory=rules_in_force)
     unread_audit: str = ""
     lot_map: LotMap | None = None
+    press_spread: float = 0.0
 
     @cached_property
     def fit_id(self) -> str:
@@ -73,6 +76,7 @@ class UnitProblem:
                 "reference": self.reference and self.reference.to_json(),
                 "other_networks": sorted(self.other_networks),
                 "lot_fit": self.lot_map and [self.lot_map.sha256, vars(self.lot_map.part)],
+                "press_spread": self.press_spread,
                 # Rules look at the limit and at what was measured.
                 "rules": [*sorted(self.rules), *self._decided_by] if self.rules else [],
             },
@@ -134,6 +138,11 @@ class UnitProblem:
         loads = self.source.interval.levels
         return np.zeros_like(loads) if self.reference is None else self.reference.variance(loads)
 
+    @property
+    def line_share(self) -> float:
+        """What somebody stated of the line, and what the fit of its lot saw of the press, as a share of the load."""
+        return float(np.hypot(0.0 if self.line is None else self.line.share, self.press_spread))
+
     def blocking_reasons(self) -> tuple[Reason, ...]:
         """Return what keeps the unit from passing whatever its error is."""
         highest = float(self.source.source.reference.max())
@@ -160,9 +169,9 @@ class UnitProblem:
         return tuple(reasons)
 
     def lot_fit_reasons(self) -> tuple[Reason, ...]:
-        """Say which fit of the lot the map comes from; nothing where the unit is mapped by itself."""
+        """Say which fit of the lot the map comes from, or what of the press keeps it alone; else nothing."""
         if self.lot_map is None:
-            return ()
+            return (reason(SPREAD, share=self.press_spread),) if self.press_spread else ()
         part, unit = vars(self.lot_map.part), self.source.source.reference_unit
         return (reason("lot_fit.member", unit=unit, **{name: part[name] for name in LOT_FIT_NUMBERS}),)
 

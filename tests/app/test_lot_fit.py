@@ -142,6 +142,23 @@ def test_pressing_one_unit_changes_that_unit_alone_and_says_what_a_fit_would_cha
     assert decision_in_force(registry, "tuesday").fit.number == 1
 
 
+def test_presses_that_differ_leave_the_maps_and_are_in_every_forecast_until_it_is_withdrawn(lot, registry, run, batch):
+    for serial in UNITS:
+        press(lot / "lot", serial, held_presses(9, 2500, 60.0, 0.12, int(serial[1:])))
+    report = batch()
+    assert sorted(report["lot_fit"]["units"]) == UNITS
+    for unit in report["units"]:
+        assert unit["map"]["lot_fit"] is None and any("they share no load" in why for why in unit["reasons"])
+        alone, now = (registry.calibrations.get(unit["serial"], r).state for r in (unit["map"]["revision"] - 1, None))
+        assert now.map_sha256 == alone.map_sha256
+        assert now.forecast.rmse > 1.05 * alone.forecast.rmse
+        assert np.mean(now.interval.half_width) > 1.05 * np.mean(alone.interval.half_width)
+    assert not batch()["lot_fit"]["units"]
+    assert run("lot", "fit", "tuesday", "--withdraw", "--reason", "a test", "--yes") == 0
+    for serial in UNITS:
+        assert "line" not in registry.calibrations.get(serial).state.fit.budget
+
+
 def test_the_line_says_what_a_fit_would_change(lot, registry):
     away = recorded(held_presses(77, 2500, 60.0), 5)
     moved = OutputRecording("U5", away["t_s"].to_numpy(), away["output"].to_numpy(), RATE_HZ)

@@ -55,6 +55,18 @@ def test_a_stated_spread_widens_the_interval_with_the_load(plain, stated):
         np.testing.assert_allclose(row[8:], 1.645 * 0.1 * (level[8:] - level[0]), rtol=0.05, atol=0.02)
 
 
+@pytest.mark.parametrize("line", [None, LineSpread(0.06)])
+def test_a_spread_that_the_fit_of_the_lot_saw_is_in_forecast_interval_and_identity(problem, line):
+    before, after = (replace(problem, line=line, press_spread=share) for share in (0.0, 0.08))
+    plain, widened = calibrate(before), calibrate(after)
+    added = 0.08 * load_N(plain)
+    assert widened.forecast.rmse == pytest.approx(np.hypot(plain.forecast.rmse, added))
+    assert np.all(widened.interval.half_width[:, 20:] > plain.interval.half_width[:, 20:])
+    said = widened.decision.predicted.reasons
+    assert [one.values["share"] for one in said if one.code == "lot_fit.spread"] == [0.08]
+    assert before.fit_id != after.fit_id and widened.fit.map_sha256 == plain.fit.map_sha256
+
+
 def test_a_spread_nobody_stated_is_said_in_newton_and_changes_no_number(plain):
     default = LineConfig()
     said = plain.decision.predicted.reasons[-1]

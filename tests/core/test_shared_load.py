@@ -130,11 +130,12 @@ def test_a_unit_that_swings_like_noise_under_the_common_load_stands_alone(source
     assert fit.outliers["U6"].code == "lot_fit.noisy"
 
 
-@pytest.mark.parametrize("spread", [0.06, 0.12])
+@pytest.mark.parametrize("spread", [0.03, 0.05, 0.06, 0.12])
 def test_a_press_that_differs_from_unit_to_unit_is_no_shared_load(source, network, spread):
     fit = fit_lot(source, network, outputs(lot(spread)))
     assert not fit.members and {why.code for why in fit.outliers.values()} == {"lot_fit.spread"}
     for one in fit.units.values():
+        assert 0.2 * spread < one.press_spread < 1.2 * spread
         assert map_sha256(one.unit_map) == map_sha256(one.alone.unit_map)
 
 
