@@ -21,8 +21,6 @@ from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS, evenly
 
-ROUNDS, SETTLED = 20, 0.01
-"""The weights are found again until none moves by this share of the mean weight, or so many times."""
 SPREAD = "lot_fit.spread"
 """Code of the reason why units whose presses differ keep their own maps."""
 
@@ -159,7 +157,7 @@ class SharedLoad:
         self._members = self._calm(members)
         self._weights = self._decide_line()
         # Sums over the units: weight, estimates, mapped samples.
-        self._total = np.stack([np.zeros(count), np.zeros(count), np.zeros(count)])
+        self._total = np.zeros((3, count))
         for one, weight in zip(self._members, self._weights, strict=True):
             rows, values = self._share(one, weight)
             self._total[:, rows] += values
@@ -211,10 +209,8 @@ class SharedLoad:
         share, shape_error = weigh_lines(spread, curvature, apart, gain, len(self._members), first.config)
         for one in undecided:
             one.line_share = share
-        estimates = self._estimates()
-        weights = self._weighed(estimates)
         self._gain_rmse, self._shape_rmse = span * share * gain, span * shape_error
-        return weights
+        return self._weighed(self._estimates())
 
     def _estimates(self) -> Array:
         """Return the estimates of every unit by its own map at some instants: (units, instants), NaN where none is."""
@@ -234,7 +230,7 @@ class SharedLoad:
         """
         is_covered = np.isfinite(estimates)
         weights, filled = np.ones(len(estimates)), np.where(is_covered, estimates, 0.0)
-        for _ in range(ROUNDS):
+        for _ in range(20):
             total, sums = weights @ is_covered, weights @ filled
             # A unit is held against the others alone: with few units it would else be its own witness.
             others = (total - weights[:, None] * is_covered), (sums - weights[:, None] * filled)
@@ -244,9 +240,9 @@ class SharedLoad:
             apart = np.sqrt(_mean_square(distance))
             fresh = 1.0 / (np.median(apart) ** 2 + apart**2 + 1e-300)
             fresh *= len(estimates) / fresh.sum()
-            is_settled = np.max(np.abs(fresh - weights)) < SETTLED
-            weights = fresh
-            if is_settled:
+            weights, change = fresh, np.max(np.abs(fresh - weights))
+            # A hundredth of the mean weight moves no estimate.
+            if change < 0.01:
                 break
         return np.asarray(weights / weights.sum())
 
@@ -255,16 +251,15 @@ class SharedLoad:
         rows, own_share = self._share(one, weight)
         total = self._total.copy()
         total[:, rows] -= own_share
+        (t_s, load, mapped), source = self._means(total), one.problem.source
+        output = OutputRecording("common", t_s, mapped, self._first.sample_rate_Hz, source.unlabelled.output_unit)
+        return LabelledRecording(output, load, source.reference_unit)
+
+    def _means(self, total: Array) -> tuple[Array, Array, Array]:
+        """Return time stamps, mean estimates and mean mapped samples where units of enough weight cover them."""
         covered = np.flatnonzero(total[0] > self._config.min_share)
-        at = self._first.window_rows[covered]
-        output = OutputRecording(
-            "common",
-            self._first.t_s[at],
-            total[2, covered] / total[0, covered],
-            self._first.sample_rate_Hz,
-            one.problem.source.unlabelled.output_unit,
-        )
-        return LabelledRecording(output, total[1, covered] / total[0, covered], one.problem.source.reference_unit)
+        load, mapped = total[1:, covered] / total[0, covered]
+        return self._first.t_s[self._first.window_rows[covered]], load, mapped
 
     def _pair(self, paired: Collection[str]) -> None:
         self._maps, self._apart, bins = {}, {}, []
@@ -286,7 +281,7 @@ class SharedLoad:
             )
             self._maps[one.serial] = unit_map
             self._apart[one.serial] = rms(before), rms(after)
-            bins.append(_by_load(load, after, self._config.bands))
+            bins.append(_by_load(load, after))
         usual = float(np.median([rest for _, rest in self._apart.values()] or [0.0]))
         for serial, (_, rest) in self._apart.items():
             if rest > self._config.outlying * usual:
@@ -329,10 +324,8 @@ class SharedLoad:
     @property
     def summary(self) -> LoadGroup:
         """What the group has in common."""
-        covered = np.flatnonzero(self._total[0] > self._config.min_share)
-        at = self._first.window_rows[covered]
-        load = self._total[1, covered] / self._total[0, covered]
-        return LoadGroup(tuple(self._inside), self._first.t_s[at], load, self._shape_rmse, self._gain_rmse)
+        t_s, load, _ = self._means(self._total)
+        return LoadGroup(tuple(self._inside), t_s, load, self._shape_rmse, self._gain_rmse)
 
 
 def weigh_lines(
@@ -378,9 +371,9 @@ def _mean(estimates: Array, weights: Array) -> Array:
     return np.asarray(weights @ np.where(is_covered, estimates, 0.0) / np.maximum(weights @ is_covered, 1e-300))
 
 
-def _by_load(load: Array, apart: Array, bands: int) -> Array:
-    """Return mean load above rest and mean square difference in bands of equally many rows: (2, bands)."""
-    order = np.array_split(np.argsort(load, kind="stable"), bands)
+def _by_load(load: Array, apart: Array) -> Array:
+    """Return mean load above rest and mean square difference in eight bands of equally many rows: (2, 8)."""
+    order = np.array_split(np.argsort(load, kind="stable"), 8)
     lowest = float(np.mean(load[order[0]]))
     return np.array([[np.mean(load[rows]) - lowest for rows in order], [np.mean(apart[rows] ** 2) for rows in order]])
 

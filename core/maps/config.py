@@ -200,7 +200,6 @@ class SharedLoadConfig:
         instants: at which the weights are found, and maps compared with the common load.
         min_share: instants that units of less than this share of all weights cover are no part of the common load.
         outlying: a unit that so many times the usual difference is left of, once it is paired, was pressed otherwise.
-        bands: of load over which the differences are compared.
         max_growth: where the differences grow by more than this share of the load, the press differs from unit to unit.
         mean_curvature: how far the sensors of a kind are bent on average: standard deviation, as a share of the range.
         dwell: error of a curve of equal quantiles where source and units spend their time otherwise: the same.
@@ -212,7 +211,6 @@ class SharedLoadConfig:
     instants: int = setting(2000)
     min_share: float = setting(0.3)
     outlying: float = setting(4.0)
-    bands: int = setting(8)
     max_growth: float = setting(0.015, GROWTH_CHOSEN)
     mean_curvature: float = setting(0.04, LINE_CHOSEN)
     dwell: float = setting(0.08, DWELL_CHOSEN)
