@@ -27,7 +27,7 @@ DWELL_CHOSEN = (
 GROWTH_CHOSEN = (
     "drawn lots 0-3, simulated lots 100-101: up to 0.0114 without a spread, from 0.021 on with 5 % from press to press"
 )
-"""Origin of the growth of differences that shows a press that differs; lots 4-9 and 102-107 test it."""
+"""Origin of the growth of differences that shows a press that differs; drawn lot 4 and simulated lot 102 tested it."""
 
 
 @dataclass(frozen=True)
