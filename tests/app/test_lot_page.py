@@ -142,7 +142,7 @@ def test_limits_are_drawn_and_named_and_units_stand_at_the_axes() -> None:
     for draw in (estimate_over_reference, error_over_load):
         figure = draw(audited(), LIGHT, say)
         named = [trace.name for trace in figure.data] + [note.text for note in figure.layout.annotations]
-        assert any("limit 0.200 N" in str(name) for name in named)
+        assert any("limit 0.2 N" in str(name) for name in named)
         assert "[N]" in figure.layout.xaxis.title.text and "[N]" in figure.layout.yaxis.title.text
         without = draw(audited(None), LIGHT, say)
         assert not any("limit" in str(trace.name) for trace in without.data)
