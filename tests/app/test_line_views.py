@@ -188,7 +188,7 @@ def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
     assert shown(runs=runs, results=results).details == (SAY("line.result", rmse="0.0712 N"),)
     limited = replace(LOT, lot=replace(LOT.lot, limit_rmse=0.2))
     assert shown(runs=runs, results=results, lot=limited).details == (
-        SAY("line.result.limit", rmse="0.071 N", limit="0.200 N"),
+        SAY("line.result.limit", rmse="0.071 N", limit="0.2 N"),
     )
 
 
