@@ -6,8 +6,10 @@ refuses it refuses as every other error: one line of `application/problem+json`.
 
 import asyncio
 import hashlib
+import ssl
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import h11
 from starlette.concurrency import run_in_threadpool
@@ -27,10 +29,11 @@ MAX_HEAD = 16 * 1024
 """Bytes of a request's head."""
 
 HEAD_S, BODY_S = 10.0, 10.0
-"""A head, counted from the connection or the last answer, and a body have to be there within that time."""
+"""A head, counted from the connection or the last answer, and a body have to be there within that time. Who reads
+nothing of an answer for as long as a head may take is closed, too."""
 
 MAX_CONNECTIONS = 256
-"""With more, the one that has waited longest for its head is closed: who says nothing shuts nobody out."""
+"""With more, the one whose peer has waited longest is closed: who says or reads nothing shuts nobody out."""
 
 PUBLIC_PATHS = ("/health", "/openapi.json")
 """What needs no token."""
@@ -163,26 +166,53 @@ def is_etag_listed(etag: str, if_none_match: str) -> bool:
 
 
 class BoundedProtocol(H11Protocol):
-    """HTTP/1.1 whose heads have to be whole in time; uvicorn itself waits for them for ever."""
+    """HTTP/1.1 that waits for a peer no longer than `HEAD_S`: for its TLS handshake, a head, or to read an answer."""
 
+    tls_context: ssl.SSLContext | None = None
     wait_start_s = 0.0
-    _head_timer: asyncio.TimerHandle | None = None
+    _wait_timer: asyncio.TimerHandle | None = None
+    _early: bytearray | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the timeout of the first header; at the limit of connections close the one waiting longest."""
         super().connection_made(transport)
-        self._await_head()
+        self._await_peer()
         if len(self.connections) > MAX_CONNECTIONS:
             waiting = [one for one in self.connections if isinstance(one, BoundedProtocol) and one.is_waiting]
             oldest = min(waiting, key=lambda one: one.wait_start_s)
             # It is among the connections until the loop comes to it; it must not be chosen twice.
             oldest._end_wait()
             oldest.transport.abort()
+        if self.tls_context is not None:
+            # By `create_server` a handshake would count as a connection only once it is over.
+            transport.pause_reading()
+            self._early = bytearray()
+            self.tasks.add(handshake := self.loop.create_task(self._encrypt(transport, self.tls_context)))
+            handshake.add_done_callback(self.tasks.discard)
+
+    async def _encrypt(self, transport: asyncio.Transport, context: ssl.SSLContext) -> None:
+        encrypted = None
+        with suppress(OSError):  # Its handshake failed.
+            encrypted = await self.loop.start_tls(transport, self, context, server_side=True)
+        if encrypted is None:
+            self.connection_lost(ConnectionResetError())
+        else:
+            super().connection_made(encrypted)
+            early, self._early = bytes(self._early or b""), None
+            if early:
+                self.data_received(early)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what was sent; until the encrypted connection is there, put it by: an answer would be readable."""
+        if self._early is None:
+            super().data_received(data)
+        else:
+            self._early += data
 
     @property
     def is_waiting(self) -> bool:
-        """Whether no head is there yet."""
-        return self._head_timer is not None
+        """Whether the peer has to do something: shake hands, send its head or body, read an answer."""
+        return self._wait_timer is not None or self.conn.their_state is h11.SEND_BODY
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the wait."""
@@ -192,14 +222,28 @@ class BoundedProtocol(H11Protocol):
     def handle_events(self) -> None:
         """End the wait once a head is whole."""
         super().handle_events()
-        if self.cycle is not None and not self.cycle.response_complete:
+        if self.cycle is not None and not self.cycle.response_complete and not self.flow.write_paused:
             self._end_wait()
 
     def on_response_complete(self) -> None:
-        """Start the timeout of the next header."""
+        """Start the timeout of the next header; close where the next request is there before the answer was read."""
         if not self.transport.is_closing():
-            self._await_head()
+            self._await_peer()
+            if self.conn.trailing_data[0]:
+                self.transport.close()
         super().on_response_complete()
+
+    def pause_writing(self) -> None:
+        """Start the timeout of a peer that does not read."""
+        super().pause_writing()
+        self._await_peer()
+
+    def resume_writing(self) -> None:
+        """End it, or start the timeout of the next header."""
+        super().resume_writing()
+        self._end_wait()
+        if self.cycle is None or self.cycle.response_complete:
+            self._await_peer()
 
     def send_400_response(self, msg: str) -> None:  # noqa: V105
         """Refuse a request that is no HTTP, as every other error."""
@@ -210,12 +254,12 @@ class BoundedProtocol(H11Protocol):
             self.transport.write(self.conn.send(event) or b"")
         self.transport.close()
 
-    def _await_head(self) -> None:
+    def _await_peer(self) -> None:
         self._end_wait()
         self.wait_start_s = time.monotonic()
-        self._head_timer = self.loop.call_later(HEAD_S, self.transport.abort)
+        self._wait_timer = self.loop.call_later(HEAD_S, self.transport.abort)
 
     def _end_wait(self) -> None:
-        if self._head_timer is not None:
-            self._head_timer.cancel()
-            self._head_timer = None
+        if self._wait_timer is not None:
+            self._wait_timer.cancel()
+            self._wait_timer = None

@@ -1,8 +1,11 @@
 """The REST application: its errors, its OpenAPI document, and its server, local or encrypted."""
 
+import json
 import os
+import ssl
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -11,7 +14,7 @@ import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
 from softcal.app.bootstrap import REGISTRY_VARIABLE, open_chosen_registry, registry_url
@@ -52,6 +55,7 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
         description=DESCRIPTION,
         docs_url=None,  # Its page loads scripts from elsewhere; a plant has no internet.
         redoc_url=None,
+        openapi_url=None,
         responses={status: {"model": ProblemAnswer, "description": TITLES[status]} for status in COMMON_STATUSES},
     )
     app.state.registry, app.state.jobs = registry, JobRunner(registry)
@@ -66,6 +70,13 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
         return {"status": "ok"}
 
     app.openapi = lambda: openapi_document(app)  # type: ignore[method-assign]
+    document = cache(lambda: json.dumps(app.openapi()).encode())
+
+    @app.get("/openapi.json", include_in_schema=False)
+    def openapi() -> Response:
+        """Return the document; open to everybody, and so not written anew for each."""
+        return Response(document(), media_type="application/json")
+
     return app
 
 
@@ -141,7 +152,7 @@ def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) ->
 
     `InputError`: unusable address. `RegistryError`: the registry cannot be opened.
     """
-    url = registry_url(options.registry)
+    url, protocol = registry_url(options.registry), _protocol(options)
     # A job is a process of its own; it finds the registry there.
     os.environ[REGISTRY_VARIABLE] = url
     with open_chosen_registry(url) as registry:
@@ -154,14 +165,23 @@ def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) ->
             options.port,
             log_level="warning",
             server_header=False,
-            http=BoundedProtocol,
+            http=protocol,
             ws="none",
             h11_max_incomplete_event_size=MAX_HEAD,
-            ssl_certfile=options.cert_file,
-            ssl_keyfile=options.key_file,
         )
         server = uvicorn.Server(config)
         try:
             server.run()
         except SystemExit as end:
             raise InputError(f"nobody can listen at {options.host}:{options.port}; is the port taken?") from end
+
+
+def _protocol(options: ServingOptions) -> type[BoundedProtocol]:
+    if options.cert_file is None:
+        return BoundedProtocol
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(options.cert_file, options.key_file)
+    except OSError as error:
+        raise InputError(f"certificate {options.cert_file} with its key cannot be read: {error}") from error
+    return type("EncryptedProtocol", (BoundedProtocol,), {"tls_context": context})

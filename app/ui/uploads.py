@@ -1,4 +1,4 @@
-"""Where dropped recordings lie until their tab ends: one folder of this server, gone at the latest when it starts."""
+"""Where dropped recordings lie until their tab ends: a folder of this server, gone at its next start at the latest."""
 
 import os
 import shutil

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -61,7 +62,9 @@ class Served:
 
 
 @contextmanager
-def served(url: str, folder: Path, add_everybody: Callable[[str], None], port: int) -> Iterator[Served]:
+def served(
+    url: str, folder: Path, add_everybody: Callable[[str], None], port: int, options: tuple[object, ...] = ()
+) -> Iterator[Served]:
     """Serve a registry by the command; its jobs and logs lie in `folder`."""
     add_everybody(url)
     with open_registry(url) as registry:
@@ -69,15 +72,15 @@ def served(url: str, folder: Path, add_everybody: Callable[[str], None], port: i
     environment = os.environ | {"XDG_DATA_HOME": str(folder / "data"), "SOFTCAL_LOGS": str(folder / "logs")}
     log = folder / "server.log"
     with log.open("w") as output:
-        command = [SOFTCAL, "api", "serve", "--port", str(port), "--registry", url]
+        command = [SOFTCAL, "api", "serve", "--port", str(port), "--registry", url, *map(str, options)]
         process = subprocess.Popen(command, stdout=output, stderr=output, env=environment)
     try:
         deadline_s = time.monotonic() + 60
         while True:
             try:
-                httpx2.get(f"http://127.0.0.1:{port}/health", timeout=5)
+                socket.create_connection(("127.0.0.1", port), timeout=5).close()
                 break
-            except httpx2.HTTPError:
+            except OSError:
                 assert time.monotonic() < deadline_s and process.poll() is None, log.read_text()
                 time.sleep(0.2)
         yield Served(port, process.pid, token, url)
@@ -185,6 +188,60 @@ def test_a_flood_of_half_sent_heads_keeps_nobody_out(server):
     finally:
         for connection in flood:
             connection.close()
+
+
+def test_bodies_that_are_half_sent_keep_nobody_out(server):
+    head = f"{HEAD}Authorization: Bearer {server.token}\nContent-Length: 100\n\n"
+    flood = [server.send(head, b"{") for _ in range(400)]
+    try:
+        with server.client() as client:
+            assert client.get("/v1/me").status_code == 200
+    finally:
+        for connection in flood:
+            connection.close()
+
+
+@pytest.mark.long
+def test_who_reads_no_answer_keeps_nobody_out_and_is_let_go(own_server):
+    server, flood = own_server, []
+    before = server.handles()
+    for _ in range(300):
+        reader = socket.socket()
+        reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        reader.settimeout(0.2)
+        flood.append(reader)
+        with suppress(OSError):
+            reader.connect(("127.0.0.1", server.port))
+            reader.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 200)
+    try:
+        with server.client() as client:
+            assert client.get("/v1/me").status_code == 200
+        wait_until(lambda: server.handles() <= before + 20, "they are let go")
+    finally:
+        for connection in flood:
+            connection.close()
+
+
+@pytest.mark.long
+def test_who_does_not_shake_hands_keeps_nobody_out(calibrated, add_everybody, some_port, tmp_path, tls):
+    options = ("--cert", tls.cert, "--key", tls.key)
+    with served(calibrated, tmp_path, add_everybody, some_port(), options) as server:
+        before = server.handles()
+        address = f"https://127.0.0.1:{server.port}/v1/me"
+        trust = ssl.create_default_context(cafile=str(tls.ca))
+        sign_in = {"Authorization": f"Bearer {server.token}"}
+        flood = [socket.create_connection(("127.0.0.1", server.port), timeout=30) for _ in range(600)]
+        try:
+            for _ in range(5):
+                assert httpx2.get(address, headers=sign_in, verify=trust, timeout=60).status_code == 200
+            assert server.handles() < 350
+            wait_until(lambda: server.handles() <= before + 20, "they are let go")
+            # What is no handshake gets no answer that others could read.
+            with server.send("GET /health HTTP/1.1\nHost: 127.0.0.1\n\n") as plain:
+                assert b"HTTP" not in plain.recv(100)
+        finally:
+            for connection in flood:
+                connection.close()
 
 
 @pytest.mark.parametrize(
