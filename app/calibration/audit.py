@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from softcal.app.registry.limit import lot_limit
-from softcal.app.registry.lot_recordings import newest_audits
+from softcal.app.registry.lot_recordings import newest_audits, target_serials
 from softcal.app.texts.reasons import Translator
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, evaluate_audit, plan_audit
@@ -19,8 +19,8 @@ class Sample:
     """What of a lot's audits was drawn at random before it was measured.
 
     Args:
-        drawn, population: units drawn at random, and of how many; 0 without a draw.
-        drawn_at: when, UTC; None without a draw.
+        drawn, population: units drawn at random, and of how many the lot has.
+        drawn_at, last_drawn_at: when the first and the last of them were, UTC; None without a draw.
         since, before: drawn units measured after the draw, and before it.
         without_draw: other units that were audited.
     """
@@ -28,20 +28,23 @@ class Sample:
     drawn: int
     population: int
     drawn_at: datetime | None
+    last_drawn_at: datetime | None
     since: int
     before: int
     without_draw: int
 
     def to_json(self) -> dict[str, object]:
         """Return the sample as JSON values."""
-        return vars(self) | {"drawn_at": None if self.drawn_at is None else self.drawn_at.isoformat()}
+        instants = {"drawn_at": self.drawn_at, "last_drawn_at": self.last_drawn_at}
+        return vars(self) | {name: at and at.isoformat() for name, at in instants.items()}
 
     def render(self, translate: Translator) -> str:
         """Return in one sentence how the audits stand to the draw."""
-        if self.drawn_at is None:
+        if self.drawn_at is None or self.last_drawn_at is None:
             return translate("paper.drawn.not", others=self.without_draw)
         numbers = {"since": self.since, "before": self.before, "others": self.without_draw}
-        day = self.drawn_at.date().isoformat()
+        days = sorted({at.date().isoformat() for at in (self.drawn_at, self.last_drawn_at)})
+        day = " – ".join(days)
         return translate("paper.drawn.is", drawn=self.drawn, population=self.population, day=day, **numbers)
 
 
@@ -61,12 +64,11 @@ def find_random_audits(registry: Registry, lot_id: str) -> frozenset[str]:
 
 def audited_sample(registry: Registry, lot_id: str) -> Sample:
     """Return how the audits of a lot stand to its draws."""
-    audits, draws = newest_audits(registry, lot_id), registry.declarations.draws(lot_id)
-    instants = _draw_instants(draws)
+    audits, instants = newest_audits(registry, lot_id), _draw_instants(registry.declarations.draws(lot_id))
     since, drawn_count = len(find_random_audits(registry, lot_id)), len(audits.keys() & instants.keys())
-    population = draws[-1].plan.population if draws else 0
-    at = max(instants.values(), default=None)
-    return Sample(len(instants), population, at, since, drawn_count - since, len(audits) - drawn_count)
+    first, last = (end(instants.values(), default=None) for end in (min, max))
+    units = len(target_serials(registry, lot_id))
+    return Sample(len(instants), units, first, last, since, drawn_count - since, len(audits) - drawn_count)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from softcal.app.calibration.audit import audited_sample, draw_plan
 from softcal.app.calibration.release import read_lot_status
 from softcal.app.export.certificates.lot_statement import build_lot_statement
-from softcal.app.registry.lot_recordings import newest_audits
+from softcal.app.registry.lot_recordings import newest_audits, target_serials
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.recording import LabelledRecording
 from softcal.db.connection import open_registry
@@ -30,3 +30,14 @@ def test_only_what_was_measured_after_the_draw_was_drawn_before_it_was_measured(
         assert (sample.since, sample.before, sample.without_draw) == (1, 1, 1)
         standing = read_lot_status(registry, "small")
         assert build_lot_statement(registry, standing, standing.decided).sample == sample
+
+
+def test_a_second_draw_from_fewer_units_is_counted_among_the_units_of_the_lot(calibrated):
+    with open_registry(calibrated) as registry:
+        targets = len(target_serials(registry, "small"))
+        first = draw_plan(registry, "small", AuditConfig(random=2, doubtful=0)).plan
+        second = draw_plan(registry, "small", AuditConfig(random=9, doubtful=2), reason="the others, too").plan
+        assert second.population < first.population
+        sample = audited_sample(registry, "small")
+        assert sample.drawn == len({*first.random, *second.random}) > second.population
+        assert sample.population == targets >= sample.drawn

@@ -24,7 +24,7 @@ from tests.app.pdf_text import read_pages
 LOT, LIMIT = Lot("lot-1", "S0", 50.0, sensor_model="EG <3 mm>", limit_rmse=0.5), Limit("N", 0.5)
 
 
-SAMPLE = Sample(10, 40, datetime(2026, 4, 2, tzinfo=UTC), 3, 7, 4)
+SAMPLE = Sample(10, 40, *[datetime(2026, 4, 2, tzinfo=UTC)] * 2, 3, 7, 4)
 
 
 def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn: int = 0) -> LotStatement:
