@@ -1,6 +1,6 @@
 """Fit base and effects jointly to all runs; where a fit can move; the structure that it leaves; its evidence."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -255,6 +255,23 @@ class Regime:
     name: Reason
     share: float
     lift: float
+
+
+def strongest_regimes(
+    result: Fit, conditions_of: Callable[[Fit, list[Block]], dict[Reason, Array]], min_lift: float = 0.0
+) -> tuple[Regime, ...]:
+    """Return the conditions of pressed runs in which what a fit leaves stands out, the strongest first.
+
+    Args:
+        conditions_of: which samples of blocks, (n,), lie in a condition.
+    """
+    out = []
+    for channel in result.problem.scored_channels:
+        if blocks := result.problem.blocks_of(channel, "press"):
+            every = shares_of_gap(result, blocks, conditions_of(result, blocks))
+            for name, share, time_share in (one for one in every if min(one[1], 1.0) >= min_lift * one[2]):
+                out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
+    return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
 
 
 def shares_of_gap(

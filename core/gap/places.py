@@ -15,7 +15,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.evidence import with_constants
-from softcal.core.gap.fit import Map, Regime, form_of, shares_of_gap
+from softcal.core.gap.fit import Map, form_of
 from softcal.core.gap.model import Block, Fit
 from softcal.core.gap.twin_reach import dither_of
 from softcal.core.messages.reason import Reason, reason
@@ -80,19 +80,7 @@ def suspects(maps: tuple[Map, ...], quiet: float, sensor_type: SensorType = "pre
     return excluded[quietest] if z[quietest] < 5 * quiet * loud else (*BEFORE, *BEHIND)
 
 
-def regimes(result: Fit) -> tuple[Regime, ...]:
-    """Return the regimes in which the residual of a fit stands out, the strongest first."""
-    out = []
-    for channel in ("force_N", "output_V"):
-        blocks = result.problem.blocks_of(channel, "press")
-        if not blocks:
-            continue
-        for name, share, time_share in shares_of_gap(result, blocks, _conditions(result, blocks)):
-            out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
-    return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
-
-
-def _conditions(result: Fit, blocks: list[Block]) -> dict[Reason, Array]:
+def conditions_of_presses(result: Fit, blocks: list[Block]) -> dict[Reason, Array]:
     case = result.problem.case
     runs = [case.runs[b.run] for b in blocks]
     drive = np.concatenate([_drive(run) for run in runs])

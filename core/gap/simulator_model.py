@@ -20,7 +20,7 @@ from softcal.core.gap.evidence import (
     with_residual_location,
 )
 from softcal.core.gap.experiments import NextExperiment, causes_of, propose_experiment, together
-from softcal.core.gap.fit import Tangent, fit, leader_of, rows_of_runs, structure
+from softcal.core.gap.fit import Tangent, fit, leader_of, rows_of_runs, strongest_regimes, structure
 from softcal.core.gap.hypothesis import Hypothesis, Prior, Probe, fit_scale, from_fit, to_fit
 from softcal.core.gap.linear import COMMON_STEP_s, energy
 from softcal.core.gap.method import METHOD, GapMethod
@@ -42,12 +42,12 @@ from softcal.core.gap.simulator import (
 from softcal.core.gap.simulator_reach import (
     SimulatorTerm,
     against_others,
+    conditions_of,
     cut_off,
     explanatory_signals,
     find_excess_noise,
     find_strays,
     recording_mistakes,
-    regimes_of,
     shifted,
     terms_of,
 )
@@ -59,6 +59,9 @@ from softcal.core.twin.probes import ExcitationRange
 
 MAX_CACHED = 200
 """Answers of a simulator that are kept."""
+
+MIN_LIFT = 1.5
+"""Share of the gap over share of time from which a condition is listed."""
 
 DRAWS, FIRST_STEPS = 12, 6
 """Places over the bounds at which causes are tried, and steps from the likeliest of them."""
@@ -462,7 +465,7 @@ class SimulatorModel(ReportingModel):
         best, verdict = search.best, assessment.verdict
         if verdict == "no_gap":
             return Where()
-        base, regimes = search.base, regimes_of(search.base)
+        base, regimes = search.base, strongest_regimes(search.base, conditions_of, MIN_LIFT)
         loudest = max(base.problem.scored_channels, key=lambda channel: structure(base, channel).z)
         channel, regime = (
             (regimes[0].channel, regimes[0].name) if regimes else (loudest, Reason("gap.regime.everywhere"))
@@ -482,9 +485,7 @@ class SimulatorModel(ReportingModel):
                 locations = with_residual_location(
                     locations, FaultLocation("unknown", channel, regime, 1.0 - search.explained_share(best))
                 )
-        return Where(
-            (*locations, *regime_locations(locations[0].stage, regimes, "gap.seen.energy_of_all")), tuple(regimes)
-        )
+        return Where((*locations, *regime_locations(locations[0].stage, regimes, "gap.seen.energy_of_all")), regimes)
 
     def next_experiment(
         self, search: "Search", assessment: "Assessment", telling: NextExperiment | None

@@ -27,7 +27,7 @@ from softcal.core.gap.case import (
     of_sign,
     unit_of,
 )
-from softcal.core.gap.fit import Regime, fit, shares_of_gap
+from softcal.core.gap.fit import fit
 from softcal.core.gap.hypothesis import start_coordinates
 from softcal.core.gap.method import GapMethod, MistakeConfig, NoiseFloorConfig
 from softcal.core.gap.model import Block, Fit
@@ -36,9 +36,6 @@ from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Hook, Parameter
 from softcal.core.twin.signals import low_pass
-
-MIN_LIFT = 1.5
-"""Share of the gap over share of time from which a condition is listed."""
 
 MEMORIES = (0.01, 0.03, 0.1, 0.3)
 """Fading times of the memories that terms may follow, as shares of the longest run."""
@@ -256,18 +253,6 @@ def conditions_of(result: Fit, blocks: list[Block]) -> dict[Reason, Array]:
         Reason("gap.regime.end"): part > 0.75,
     }
     return out | {reason("gap.regime.run", run=run.name): of_run == k for k, run in enumerate(runs)}
-
-
-def regimes_of(base: Fit) -> list[Regime]:
-    """Return the conditions in which what a base leaves stands out, the strongest first."""
-    result = []
-    for channel in base.problem.scored_channels:
-        blocks = base.problem.blocks_of(channel)
-        for name, part, time_share in shares_of_gap(base, blocks, conditions_of(base, blocks)):
-            share = float(np.clip(part, 0.0, 1.0))
-            if share > MIN_LIFT * time_share:
-                result.append(Regime(channel, name, share, share / time_share))
-    return sorted(result, key=lambda r: -r.share * np.log(r.lift))
 
 
 FACTORS: Mapping[str, float] = {

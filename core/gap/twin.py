@@ -17,12 +17,12 @@ from softcal.core.gap.evidence import (
     with_residual_location,
 )
 from softcal.core.gap.experiments import NextExperiment, propose_experiment
-from softcal.core.gap.fit import Map, fit, leader_of, one_less, structure
+from softcal.core.gap.fit import Map, fit, leader_of, one_less, strongest_regimes, structure
 from softcal.core.gap.hypothesis import BASE, Hypothesis, Probe
 from softcal.core.gap.method import METHOD, GapMethod
 from softcal.core.gap.mistakes import find_repeats, mistakes, outlier_run, outlier_run_with_causes, suspect_units
 from softcal.core.gap.model import Block, Directions, Fit, Fits, Problem, Sizes
-from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, regimes
+from softcal.core.gap.places import cases_of_maps, conditions_of_presses, explained_twin, likely_stages, loose_noise
 from softcal.core.gap.residual import noise_levels, with_driving_noise
 from softcal.core.gap.search import Progress, Search
 from softcal.core.gap.twin_reach import (
@@ -256,7 +256,9 @@ class TwinModel(ReportingModel):
         base, best, verdict = search.base, search.best, assessment.verdict
         search.on_progress("refitting the three maps separately")
         maps = self.maps(base.problem.case)
-        regime_list = tuple(replace(r, channel=short(r.channel)) for r in regimes(base))
+        regime_list = tuple(
+            replace(r, channel=short(r.channel)) for r in strongest_regimes(base, conditions_of_presses)
+        )
         if verdict == "no_gap":
             return Where((), regime_list, maps)
         structured = [reason("gap.map", map=m.name) for m in maps if m.structure.is_significant]

@@ -10,11 +10,29 @@ from scipy.optimize import least_squares
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNEL_OF_STAGE, COMMON, Case, RigScale, Run
 from softcal.core.gap.evidence import in_catalogue_form, with_constants
-from softcal.core.gap.fit import Map, Structure, fit, form_of, nuisance_rows, rows_of_runs, shares_of_gap, structure
+from softcal.core.gap.fit import (
+    Map,
+    Structure,
+    fit,
+    form_of,
+    nuisance_rows,
+    rows_of_runs,
+    shares_of_gap,
+    strongest_regimes,
+    structure,
+)
 from softcal.core.gap.hypothesis import BASE, Hypothesis, Probe, to_fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.model import Problem
-from softcal.core.gap.places import Tone, explained_twin, likely_stages, loose_noise, regimes, strongest_tone, suspects
+from softcal.core.gap.places import (
+    Tone,
+    conditions_of_presses,
+    explained_twin,
+    likely_stages,
+    loose_noise,
+    strongest_tone,
+    suspects,
+)
 from softcal.core.gap.residual import with_driving_noise
 from softcal.core.gap.search import best_unmodelled, causes_with_surrogate, fit_jointly, screen, surrogate_share
 from softcal.core.gap.twin import TWIN
@@ -557,7 +575,7 @@ def test_shares_of_a_gap_are_those_of_its_energy():
 @pytest.mark.parametrize("channel", ["force_N", "output_V"])
 def test_a_gap_of_one_regime_is_listed_first(name, where, channel):
     size = 60.0 * SIGMA[channel]
-    found = regimes(spoilt_fit(channel, lambda r: size * where(r)))
+    found = strongest_regimes(spoilt_fit(channel, lambda r: size * where(r)), conditions_of_presses)
     assert found[0].name.code == f"gap.regime.{name}"
     assert found[0].channel == channel
     assert found[0].share > 0.9 and found[0].lift > 1.5
@@ -566,7 +584,7 @@ def test_a_gap_of_one_regime_is_listed_first(name, where, channel):
 
 
 def test_a_gap_of_one_run_names_the_run():
-    found = regimes(spoilt_fit("force_N", lambda r: 0.6 * (r.name == "2")))
+    found = strongest_regimes(spoilt_fit("force_N", lambda r: 0.6 * (r.name == "2")), conditions_of_presses)
     assert found[0].name.values["run"] == "2" and found[0].share > 0.99
 
 
@@ -577,7 +595,9 @@ def test_a_hold_is_where_the_stage_stands():
     rng = np.random.default_rng(1)
     force = elastic(np.maximum(0.0, stage - 0.35)) + rng.normal(0, 0.01, 600) + 0.5 * still
     run = Run("1", t_s, READOUT, stage_mm=np.where(still, 2.5, stage), force_N=force)
-    found = regimes(fit(Problem(TWIN, Case("H", (run,)), SIGMA).bare, Hypothesis(), AT, steps=0))
+    found = strongest_regimes(
+        fit(Problem(TWIN, Case("H", (run,)), SIGMA).bare, Hypothesis(), AT, steps=0), conditions_of_presses
+    )
     assert "hold" in found[0].name.code or found[0].name.code.endswith("high_load")
     assert any(r.name.code == "gap.regime.hold" and r.share > 0.98 for r in found)
 

@@ -55,8 +55,8 @@ NO_DECISION = {
         "OFF_GRID",
         "PROBED",
     },  # what is refused
-    "core/gap/simulator_model.py": {"MAX_CACHED", "DRAWS", "FIRST_STEPS"},  # a cache, and where a fit begins
-    "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES", "MIN_LIFT"},  # units, parts of stored terms
+    "core/gap/simulator_model.py": {"MAX_CACHED", "DRAWS", "FIRST_STEPS", "MIN_LIFT"},  # a cache, a fit, a list
+    "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES"},  # units, parts of stored terms
     "core/gap/twin.py": {"QUIETEST"},  # a guard
     # equations, numbers of a solver, and runs that may be proposed
     "core/gap/twin_reach.py": {"WARM_DIVIDER", "UNMODELLED_EFFECTS", "LEVELS", "REST_s", "SET_UP_min", "TOUCHING_share"}
