@@ -106,6 +106,12 @@ EXPLAINED = {
     "core/operation/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
     "core/operation/adapter.py": {"300": "places of a table over three swings"},
     "core/maps/anchors.py": {"30": "samples of a straight line", "0.01": "one load stated twice"},
+    "core/maps/common_load.py": {
+        "3": "sums over the units",
+        "8": "bands of load that two numbers are fitted to",
+        "20": "rounds of the weights at most",
+        "0.01": "of the mean weight: no estimate moves by less",
+    },
     "core/maps/choose.py": {"5": "a third of a window", "20": "levels of a histogram"},
     "core/maps/paired.py": {
         "1.5": "exponent of the integral of a squared second difference",
