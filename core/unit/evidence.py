@@ -209,8 +209,10 @@ def gather_evidence(
         unbent_shape = interval.support.shape(unbent)
     rest, span = _rest_level(model, estimate), interval.high - interval.low
     load_rms = rms(estimate - rest)
-    overlap, speed = _operation_overlap(operation, unbent_shape), _fast(shape, config) / operation.fast
-    sharpness = _sharpness(shape, config)
+    # A map of a lot fit may take the mean of a window alone: what moved within it is gone behind it.
+    moving = shape if lot_fit is None else unbent_shape
+    overlap, speed = _operation_overlap(operation, unbent_shape), _fast(moving, config) / operation.fast
+    sharpness = _sharpness(moving, config)
     # A map is only as good as the agreement of those that could have been chosen instead (disagreement), and of the
     # same family on other parts of the recording (stability, a delete-a-group jackknife).
     budget = {

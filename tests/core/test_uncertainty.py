@@ -10,6 +10,7 @@ from softcal.core.unit.correspondence import find_correspondence
 from softcal.core.unit.evidence import OtherMaps, gather_evidence
 from softcal.core.unit.forecast import forecast_error, variance_table
 from softcal.core.unit.health import output_limits
+from softcal.core.unit.lot_fit_part import LotFitPart
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import conformal_quantile, fit_support, source_residuals
 from softcal.core.unit.uncertainty import Interval
@@ -125,6 +126,27 @@ def test_a_gain_from_matched_levels_widens_with_the_square_of_the_load(source_mo
     np.testing.assert_allclose(even, even[0])
     base = row[0] / (1 + (load[0] / rms_load) ** 2)
     np.testing.assert_allclose(row, base * (1 + (load / rms_load) ** 2))
+
+
+class LevelMap:
+    """A paired map that takes the mean of a window alone: what moved within it is gone."""
+
+    family = "shared_load"
+
+    def apply(self, rows):
+        return np.repeat(rows.mean(axis=1, keepdims=True), TAPS, axis=1)
+
+    def apply_signal(self, signal):
+        return self.apply(windows(signal))
+
+
+def test_how_fast_a_unit_of_a_lot_fit_was_pressed_shows_through_a_map_that_keeps_it(source_model, press):
+    unit, line = press(3, seconds=120.0).unlabelled, AffineMap(1.0, 0.0, "two_point")
+    limits = output_limits(unit, source_model.source.unlabelled, is_rising=True, method=METHOD)
+    part = LotFitPart(number=1, sitting="together", units=5, common_rmse=0.1, unit_rmse=0.1)
+    others = OtherMaps([line], linear_map=line)
+    evidence = gather_evidence(source_model, unit, LevelMap(), limits, others, lot_fit=part)
+    assert evidence.speed == pytest.approx(1.0, rel=0.2)
 
 
 def test_loads_the_unit_has_not_shown_are_uncertain_there_alone(source_model, linear_network, press):
