@@ -93,7 +93,8 @@ def open_mqtt(
             sender.publish([("status", OFFLINE, True)])
         client.disconnect()
         client.loop_stop()
-        client.on_connect = None  # A cycle with its sender would hold the handles.  # noqa: V101
+        # In a circle with its sender it would keep its handles.
+        client.on_connect = None  # noqa: V101
 
 
 class MqttSender:
