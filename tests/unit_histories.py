@@ -169,7 +169,7 @@ class UnitHistories(RuleBasedStateMachine):
     def batch(self, side: str, numbers: dict[str, int]) -> None:
         self.act("batch", side, partial(batch, self.registries[side], numbers))
 
-    @rule(side=side_of, serial=unit_of, gain=st.sampled_from([0.98, 1.0, 1.03, 1.4]), shift=st.integers(0, 50))
+    @rule(side=side_of, serial=unit_of, gain=st.sampled_from([0.98, 1.0, 1.03, 1.4, 5.0]), shift=st.integers(0, 50))
     def audit(self, side: str, serial: str, gain: float, shift: int) -> None:
         self.act("audit", side, partial(bring_audit, self.registries[side], serial, gain, shift))
 
@@ -183,7 +183,10 @@ class UnitHistories(RuleBasedStateMachine):
 
     @rule(side=side_of, serial=unit_of)
     def confirm(self, side: str, serial: str) -> None:
-        self.act("confirm", side, partial(confirm, self.registries[side], LOT.id, serial, reason="pressed again"))
+        registry = self.registries[side]
+        suspects = [unit.serial for unit in read_lot_status(registry, LOT.id).audited if unit.suspect_reason]
+        chosen = suspects[0] if suspects else serial
+        self.act("confirm", side, partial(confirm, registry, LOT.id, chosen, reason="pressed again"))
 
     @rule(side=side_of)
     def release(self, side: str) -> None:
