@@ -268,9 +268,9 @@ def strongest_regimes(
     out = []
     for channel in result.problem.scored_channels:
         if blocks := result.problem.blocks_of(channel, "press"):
-            every = shares_of_gap(result, blocks, conditions_of(result, blocks))
-            for name, share, time_share in (one for one in every if min(one[1], 1.0) >= min_lift * one[2]):
-                out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
+            for name, part, time_share in shares_of_gap(result, blocks, conditions_of(result, blocks)):
+                share = float(np.clip(part, 0.0, 1.0))
+                out += [Regime(channel, name, share, share / time_share)] if share >= min_lift * time_share else []
     return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
 
 
