@@ -64,9 +64,7 @@ def unit_table(lot: Lot, serials: Serials) -> None:
     def table() -> bytes:
         every = UnitFilter(sort="severity", serials=serials)
         with in_one_language():
-            rows = [
-                _row(one, heads, number_format) for one in registry().pages.unit_page(lot.id, every, size=10**9).units
-            ]
+            rows = [_row(one, heads) for one in registry().pages.unit_page(lot.id, every, size=10**9).units]
         return csv_of(rows)
 
     with right, st.container(horizontal=True, horizontal_alignment="right"):
@@ -75,16 +73,13 @@ def unit_table(lot: Lot, serials: Serials) -> None:
         go_to("unit", unit=str(units[chosen].key))
 
 
-def _row(unit: UnitEntry, heads: Sequence[str], number_format: str = "") -> dict[str, object]:
-    """Return one row in the chosen language, its errors under `heads`, as text where `number_format` says how."""
+def _row(unit: UnitEntry, heads: Sequence[str]) -> dict[str, object]:
+    """Return one row in the chosen language, its errors at full precision under `heads`."""
     errors = [getattr(unit, f"{name}_rmse") for name in NUMBERS]
     return {
         translate("column.serial"): unit.serial,
         translate("column.verdict"): translate(f"verdict.{unit.verdict or 'none'}"),
-        **{
-            head: format(x, number_format) if number_format and x is not None else x
-            for head, x in zip(heads, errors, strict=True)
-        },
+        **dict(zip(heads, errors, strict=True)),
         translate("column.family"): unit.family,
         translate("column.revision"): unit.revision,
         translate("column.reasons"): render_reasons(unit.reasons, translate),

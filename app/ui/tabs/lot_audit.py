@@ -164,18 +164,20 @@ def _plan(audit: LotAudit, lot: Lot) -> None:
         st.markdown(
             translate("audit.statement", upper=statement.nonconforming_upper, ratio=f"{statement.error_ratio:.2g}")
         )
-    rows = [
-        {
-            translate("column.serial"): unit_link(UnitKey(lot.id, serial)),
+    shown, listed = [], []
+    for serial, cause, forecast, measured, result in audit.rows:
+        words = {
             translate("audit.why"): translate(f"audit.why.{cause}"),
-            translate("release.forecast"): number(forecast, unit, limit),
-            translate("release.measured"): number(measured, unit, limit),
             translate("station.result"): translate(f"audit.result.{result}"),
         }
-        for serial, cause, forecast, measured, result in audit.rows
-    ]
-    table(rows)
-    download(translate("audit.list"), f"{lot.id}-audit.csv", csv_of(rows), "audit-list")
+        errors = {translate("release.forecast"): forecast, translate("release.measured"): measured}
+        rendered = {name: number(error, unit, limit) for name, error in errors.items()}
+        shown.append({translate("column.serial"): unit_link(UnitKey(lot.id, serial)), **rendered, **words})
+        # A file keeps the full precision.
+        precise = {f"{name} [{unit}]": error for name, error in errors.items()}
+        listed.append({translate("column.serial"): serial, **precise, **words})
+    table(shown)
+    download(translate("audit.list"), f"{lot.id}-audit.csv", csv_of(listed), "audit-list")
     with st.expander(translate("audit.again"), icon=":material/casino:"):
         st.caption(translate("audit.again.why"))
         config = _config()
