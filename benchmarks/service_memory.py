@@ -32,6 +32,7 @@ from common.command import Commands
 from common.registries import SOFTCAL, begin_lot
 from common.screens import chromium, free_port, served_by
 from common.tables import print_table
+from playwright.sync_api import FilePayload
 from scipy.stats import linregress, t
 
 from softcal.core.lot import Lot
@@ -233,8 +234,8 @@ def desk(options: argparse.Namespace) -> None:
                     page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=60_000)
                     if path == "new_lot":
                         content = f"t_s,output\n{number},0\n{rows}".encode()
-                        drop = {"name": f"U{number}.csv", "mimeType": "text/csv", "buffer": content}
-                        page.locator("input[type=file]").first.set_input_files([drop])  # type: ignore[list-item]
+                        drop = FilePayload(name=f"U{number}.csv", mimeType="text/csv", buffer=content)
+                        page.locator("input[type=file]").first.set_input_files([drop])
                         page.get_by_text(f"U{number}.csv").first.wait_for(timeout=60_000)
                 context.close()
 
