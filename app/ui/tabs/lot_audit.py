@@ -164,7 +164,7 @@ def _plan(audit: LotAudit, lot: Lot) -> None:
         st.markdown(
             translate("audit.statement", upper=statement.nonconforming_upper, ratio=f"{statement.error_ratio:.2g}")
         )
-    shown, listed = [], []
+    shown, listed = list[dict[str, object]](), list[dict[str, object]]()
     for serial, cause, forecast, measured, result in audit.rows:
         words = {
             translate("audit.why"): translate(f"audit.why.{cause}"),
