@@ -49,7 +49,7 @@ def export_units(
 ) -> list[ExportedUnit]:
     """Write the calibration files of units and the manifest of the folder.
 
-    A unit whose device form is refused (its verdict, its map) still gets its report formats, and
+    A unit whose device form is refused (its verdict, its map) still gets and keeps its documents, and
     the reason stands in the manifest; an older device file of it is taken out of the folder. A unit
     that was refused after its calibration was made gets no file at all. The other units go on.
 
@@ -131,7 +131,7 @@ def _export(
     """Write the files of a unit in each format, and remove files that it no longer has."""
     fit, serial = unit.state.fit, unit.serial
     contents: dict[str, bytes] = {}
-    refusal = None
+    refusal, documents = None, list[str]()
     for write in writers.values():
         try:
             contents |= write(unit)
@@ -146,7 +146,12 @@ def _export(
     older = manifest.files.keys() - contents.keys()
     manifest.remove(out, older & {f"{name}{DETACHED_SUFFIX}" for name in contents})
     if refusal is not None:
-        manifest.remove(out, [name for name in older & manifest.files.keys() if manifest.files[name].serial == serial])
+        listed = manifest.units.get(serial, {})
+        # A document states this verdict, whatever it is; what a device could load goes.
+        is_stated = (listed.get("revision"), listed.get("verdict")) == (unit.stored.revision, unit.verdict)
+        of_unit = [name for name in older & manifest.files.keys() if manifest.files[name].serial == serial]
+        documents = [name for name in of_unit if is_stated and name.startswith(DETACHED_PREFIXES)]
+        manifest.remove(out, set(of_unit) - set(documents))
     device = device_summary(unit) if refusal is None and any(name in writers for name in DEVICE_FORMATS) else {}
     exported = ExportedUnit(serial, unit.stored.revision, unit.verdict, tuple(contents), refusal, device)
     manifest.units[serial] = {
@@ -160,6 +165,6 @@ def _export(
         "device": dict(device),
         "provenance": unit.provenance.to_json(),
         # What was refused altogether is complete without a file.
-        **({} if contents else {"withdrawn": True}),
+        **({} if contents or documents else {"withdrawn": True}),
     }
     return exported

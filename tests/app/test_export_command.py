@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from softcal.app.calibration.changes import change_limit
 from softcal.app.cli.main import main
 from softcal.app.export import names as export_names
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
@@ -76,6 +77,24 @@ def test_every_format_is_written_and_reads_back(run: Run, tmp_path: Path) -> Non
     assert found["check"]["problems"] == []
     (unit,) = found["units"]
     assert unit["device"]["rms_error"] <= unit["device"]["limit"]
+
+
+def test_a_device_form_that_is_refused_leaves_the_certificate_of_this_verdict(
+    calibrated: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(calibrated.removeprefix("sqlite:///"), tmp_path / "registry.db")
+    url, out = f"sqlite:///{tmp_path / 'registry.db'}", tmp_path / "out"
+    with open_registry(url) as registry:
+        change_limit(registry, "small", 1e-3, reason="test", actor="test")
+        assert registry.lots.units("small", "A1")[0].verdict == "fail"
+    export = ["export", "--registry", url, "--out", str(out), "--serial", "A1", "--format"]
+    assert main([*export, "pdf"]) == 0
+    certificate = (out / "certificate-A1.pdf").read_bytes()
+    assert main([*export, "json"]) != 0
+    assert (out / "certificate-A1.pdf").read_bytes() == certificate
+    assert not (out / "unit-A1.json").exists()
+    capsys.readouterr()
+    assert main(["export", "--check", "--out", str(out)]) == 0, capsys.readouterr().out
 
 
 @pytest.mark.long
