@@ -3,16 +3,20 @@
 import os
 import shutil
 import socket
+import weakref
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 
 from softcal.app.bootstrap import data_folder, is_alive
 
 
-def new_upload_folder() -> TemporaryDirectory[str]:
-    """Make a folder for what one tab drops, gone with the tab; only who runs this server can read it."""
-    return TemporaryDirectory(dir=server_folder(), ignore_cleanup_errors=True)
+class UploadFolder:
+    """A folder for what one tab drops, gone with the tab; only who runs this server can read it."""
+
+    def __init__(self) -> None:
+        self.path = Path(mkdtemp(dir=server_folder()))
+        self.remove = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 @cache

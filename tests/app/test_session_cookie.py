@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page
 
-from softcal.app.ui.uploads import new_upload_folder
+from softcal.app.ui.uploads import UploadFolder
 
 pytestmark = pytest.mark.long
 
@@ -83,10 +83,9 @@ def test_dropped_recordings_lie_in_one_folder_that_goes_with_the_server(screen, 
         sign_in(screen.address, "engineer")
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_a_dropped_recording_is_gone_with_its_tab(own_data):
-    folder = new_upload_folder()
-    recording = Path(folder.name) / "U1.csv"
+    folder = UploadFolder()
+    recording = folder.path / "U1.csv"
     recording.write_text("t_s,output\n")
     del folder
     gc.collect()

@@ -11,7 +11,7 @@ from softcal.app.files.import_plan import Columns
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import READERS, read_table
 from softcal.app.ui.presentation import localize, translate
-from softcal.app.ui.uploads import new_upload_folder
+from softcal.app.ui.uploads import UploadFolder
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -43,8 +43,8 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
         return []
     # A default would be made at every run, whether it is needed or not.
     if _folder(field) not in st.session_state:
-        st.session_state[_folder(field)] = new_upload_folder()
-    folder = Path(st.session_state[_folder(field)].name)
+        st.session_state[_folder(field)] = UploadFolder()
+    folder: Path = st.session_state[_folder(field)].path
     folder.mkdir(exist_ok=True)
     paths: dict[str, Path] = {}
     for file in dropped:
@@ -63,7 +63,7 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
 def forget_files(field: str = NEW_LOT) -> None:
     """Remove what was dropped; it is kept elsewhere now."""
     if (folder := st.session_state.pop(_folder(field), None)) is not None:
-        folder.cleanup()
+        folder.remove()
     st.session_state[f"{field}-forgotten"] = st.session_state.get(f"{field}-forgotten", 0) + 1
 
 
