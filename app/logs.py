@@ -105,12 +105,12 @@ def end_run(log: Any, code: int, message: str) -> None:
 
 def note(event: str, **values: object) -> None:
     """Put what happened into the log of the run that is under way; nothing where none was begun."""
-    log = _log_of_run()
+    log = _run_logger()
     if log is not None:
         log.info(event, **values)
 
 
-def _log_of_run() -> Any:
+def _run_logger() -> Any:
     structlog = sys.modules.get("structlog")
     is_begun = structlog is not None and "run" in structlog.contextvars.get_contextvars()
     return structlog.get_logger() if structlog is not None and is_begun else None
@@ -120,7 +120,7 @@ def log_crash(error: BaseException, command: str) -> str:
     """Write a defect of softcal to the log; return the one line for the person."""
     summary = mask_passwords(f"{type(error).__name__}: {error}".splitlines()[0])
     try:
-        log = _log_of_run() or start_logging(command=command)
+        log = _run_logger() or start_logging(command=command)
         log.error("crash", error=summary, traceback="".join(traceback.format_exception(error)))
         location = f"the details are in {log_folder()}; `softcal doctor --out FILE.zip` collects them"
     except (OSError, ImportError) as trouble:

@@ -21,7 +21,7 @@ from softcal.core.errors import InputError
 WIDTH, MIN_WIDTH = 100, 20
 """Characters of a line of sentences that no terminal shows, and of the narrowest terminal."""
 
-BAR = 24
+BAR_WIDTH = 24
 """Characters of a bar."""
 
 NOTHING, BELOW = "–", "    "
@@ -143,10 +143,10 @@ def _line_printer() -> Callable[[Sequence[str], Sequence[int]], None]:
 
     console = Console(highlight=False, soft_wrap=True)
 
-    def coloured(cells: Sequence[str], widths: Sequence[int]) -> None:
+    def colour_cells(cells: Sequence[str], widths: Sequence[int]) -> None:
         console.print(Text("  ").join(Text(cell, COLOURS.get(cell.rstrip(), "")) for cell in padded(cells, widths)))
 
-    return coloured
+    return colour_cells
 
 
 def _cells_of(text: str) -> int:
@@ -214,9 +214,9 @@ class ProgressLine:
         self._before = self._done = done
 
     def step(self, note: str = "", count: int = 1) -> None:
-        self.reach(self._done + count, note)
+        self.show_progress(self._done + count, note)
 
-    def reach(self, done: int, note: str = "") -> None:
+    def show_progress(self, done: int, note: str = "") -> None:
         """Show that so many items are finished by now, whoever finished them."""
         self._done = done
         elapsed_s = time.monotonic() - self._start
@@ -246,16 +246,16 @@ class ProgressBar:
 
     def __init__(self, note: str) -> None:
         self._start_s, self._printed_s = time.monotonic(), -math.inf
-        self.reach(0.0, note)
+        self.show_progress(0.0, note)
 
-    def reach(self, share: float, note: str = "") -> None:
+    def show_progress(self, share: float, note: str = "") -> None:
         """Show that this share of the task is done, and what happens now."""
         now_s, is_terminal = time.monotonic(), sys.stderr.isatty()
         if share < 1.0 and now_s - self._printed_s < (0.1 if is_terminal else 5.0):
             return
         self._printed_s, elapsed_s = now_s, now_s - self._start_s
-        filled = round(BAR * share)
-        parts = [f"[{'#' * filled}{'.' * (BAR - filled)}] {share:.0%}, {_duration(elapsed_s)}"]
+        filled = round(BAR_WIDTH * share)
+        parts = [f"[{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {share:.0%}, {_duration(elapsed_s)}"]
         if 0.0 < share < 1.0:
             parts.append(f", about {_duration(elapsed_s * (1.0 - share) / share)} left")
         parts += [f"  {escape_controls(note)}"] if note else []

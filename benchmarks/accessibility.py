@@ -70,14 +70,14 @@ def main() -> None:
             ("", "", {"sign-in": "settings"}),
         )
         with served(url) as (address, _), station_served(url), chromium() as browser:
-            found: dict[str, tuple[set[str], list[int]]] = {}
-            asked = options.axe.read_text(), options.widths, options.out
-            for name, broken, wider in looks(browser, address, people, *asked):
-                rules, widths = found.setdefault(name, (set(), []))
+            violations: dict[str, tuple[set[str], list[int]]] = {}
+            settings = options.axe.read_text(), options.widths, options.out
+            for name, broken, wider in looks(browser, address, people, *settings):
+                rules, widths = violations.setdefault(name, (set(), []))
                 rules.update(broken)
                 widths.append(wider)
     head = "page | looks | rules broken | px wider than the window"
-    print_table(head, ((n, len(w), ", ".join(sorted(r)) or "none", max(w)) for n, (r, w) in found.items()))
+    print_table(head, ((n, len(w), ", ".join(sorted(r)) or "none", max(w)) for n, (r, w) in violations.items()))
 
 
 def diagnosis(url: str) -> dict[str, str]:
@@ -103,13 +103,13 @@ def looks(
                     page.goto(f"{address}/{path}")
                     settle(page)
                     if out is not None:
-                        keep(page, out / f"{title}-{width}-{theme}.png", width, height)
+                        save_page(page, out / f"{title}-{width}-{theme}.png", width, height)
                     page.evaluate(axe)
                     yield title, page.evaluate(RUN), page.evaluate(WIDER)
                 context.close()
 
 
-def keep(page: Page, path: Path, width: int, height: int) -> None:
+def save_page(page: Page, path: Path, width: int, height: int) -> None:
     """Take a picture of a page in full length."""
     path.parent.mkdir(parents=True, exist_ok=True)
     full = page.evaluate("Math.max(...[...document.querySelectorAll('[data-testid=stMain]')].map(e => e.scrollHeight))")

@@ -58,12 +58,12 @@ class Memory:
 
 
 def _descendants(root: int) -> list[int]:
-    found = [root]
-    for pid in found:
+    processes = [root]
+    for pid in processes:
         # A child hangs on the thread that started it.
         for children in Path(f"/proc/{pid}/task").glob("*/children"):
-            found += [int(child) for line in _lines(children) for child in line.split()]
-    return found
+            processes += [int(child) for line in _lines(children) for child in line.split()]
+    return processes
 
 
 def _lines(path: Path) -> list[str]:
@@ -119,29 +119,31 @@ def size_MB(url: str) -> float | str:
     return sum(part.stat().st_size for part in path.parent.glob(f"{path.name}*")) / 1e6 if path.is_file() else "–"
 
 
-def named(case: str, units: int) -> str:
+def lot_name(case: str, units: int) -> str:
     """Return what the files of a case are called."""
     return f"{case.replace(':', '-')}-{units}"
 
 
 @contextmanager
-def registry_of(case: str, units: int, kept: Path | None) -> Iterator[str]:
+def registry_of(case: str, units: int, kept_folder: Path | None) -> Iterator[str]:
     """Give the URL of a case's registry: a fresh one, or the one that is kept."""
     database = case.partition(":")[0]
-    if kept is not None and database == "SQLite":
-        yield f"sqlite:///{kept / named(case, units)}.db"
+    if kept_folder is not None and database == "SQLite":
+        yield f"sqlite:///{kept_folder / lot_name(case, units)}.db"
         return
     with fresh_url(database) as url:
         yield url.replace("+psycopg", "")
 
 
-def cost_of(case: str, units: int, root: Path, kept: Path | None, part_s: float | None) -> tuple[Cost, float | str]:
+def cost_of(
+    case: str, units: int, root: Path, kept_folder: Path | None, part_s: float | None
+) -> tuple[Cost, float | str]:
     """Run the batch of a case, or the next part of it; return what all parts cost, and the size of the registry."""
     _, engine, jobs = case.split(":")
     folder, report = root / f"lot-{units}", root / "report.json"
-    sums = root / f"{named(case, units)}.json"
-    so_far = Cost(**json.loads(sums.read_text())) if kept and sums.is_file() else Cost()
-    with registry_of(case, units, kept) as url:
+    sums = root / f"{lot_name(case, units)}.json"
+    so_far = Cost(**json.loads(sums.read_text())) if kept_folder and sums.is_file() else Cost()
+    with registry_of(case, units, kept_folder) as url:
         if not so_far.is_whole:
             if not so_far.parts:
                 softcal("train", str(folder), "--registry", url)
@@ -150,20 +152,20 @@ def cost_of(case: str, units: int, root: Path, kept: Path | None, part_s: float 
             sums.write_text(json.dumps(asdict(so_far)))
             if not so_far.is_whole:
                 raise SystemExit(f"{case}, {units} units: ended after part {so_far.parts}; the same command goes on")
-            done = sum(json.loads(report.read_text())["counts"].values())
-            if done != units:
-                raise SystemExit(f"{case}: {done} of {units} units are in the report")
+            unit_count = sum(json.loads(report.read_text())["counts"].values())
+            if unit_count != units:
+                raise SystemExit(f"{case}: {unit_count} of {units} units are in the report")
         return so_far, size_MB(url)
 
 
 def measure(
-    case: str, sizes: list[int], root: Path, kept: Path | None, part_s: float | None
+    case: str, sizes: list[int], root: Path, kept_folder: Path | None, part_s: float | None
 ) -> Iterator[tuple[object, ...]]:
     """Run one case on lots of growing size."""
     database, engine, jobs = case.split(":")
     first: Cost | None = None
     for units in sizes:
-        cost, size = cost_of(case, units, root, kept, part_s)
+        cost, size = cost_of(case, units, root, kept_folder, part_s)
         first = first or cost
         peaks, ratios = (cost.command_MB, cost.worker_MB), (cost.wall_s / first.wall_s, cost.cpu_s / first.cpu_s)
         speed = cost.wall_s, units / cost.wall_s, cost.cpu_s

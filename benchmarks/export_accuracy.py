@@ -90,7 +90,7 @@ def _split(recording: LabelledRecording) -> tuple[LabelledRecording, LabelledRec
     return recording.part(0, at), recording.part(at, len(recording))
 
 
-def facts_of(network: Network, source: LabelledRecording, unit: LabelledRecording, forecast: float) -> DeviceRecord:
+def make_record(network: Network, source: LabelledRecording, unit: LabelledRecording, forecast: float) -> DeviceRecord:
     """Fit a map to a unit and return what an export of it takes."""
     chosen = choose_map(FitProblem(source, network, unit.unlabelled)).unit_map
     exact = network.evaluate(chosen.apply(unit.windows))
@@ -100,14 +100,14 @@ def facts_of(network: Network, source: LabelledRecording, unit: LabelledRecordin
 def measure(network: Network, source: LabelledRecording, target: LabelledRecording, forecast: float) -> UnitRow:
     """Fit, export and score one target; its error is forecast as the source's own."""
     train, test = _split(target)
-    facts = facts_of(network, source, train, forecast)
-    chosen = facts.unit_map
+    record = make_record(network, source, train, forecast)
+    chosen = record.unit_map
     network_file = build_network_file(network, source, AnchorConfig())
-    unit = build_unit_file(facts, network, network_file).file
+    unit = build_unit_file(record, network, network_file).file
     estimate, _, _, flags = estimate_output(open_sensor(network_file.to_bytes(), unit.to_bytes()), test.windows)
     truth = network.evaluate(chosen.apply(test.windows))
     compiled = compile_map(chosen, network, train.unlabelled, np.inf, fine_forms)
-    limits = limits_of_unit(facts, network, DeviceOptions())
+    limits = limits_of_unit(record, network, DeviceOptions())
     session = onnxruntime.InferenceSession(onnx_bytes(compose(compiled.form, network, limits), {}))
     onnx_estimate = session.run(["estimate"], {"window": test.windows.astype(np.float32)})[0]
     same_form = np.clip(network.evaluate(compiled.form.apply(test.windows)), limits.estimate_low, limits.estimate_high)
@@ -125,51 +125,52 @@ def row(lot: LotData, hidden: tuple[int, ...], epochs: int) -> list[str]:
     """Train one network of a lot and measure every target."""
     train, test = _split(lot.source)
     network = fit_network(train, NetworkConfig(hidden=hidden, max_epochs=epochs)).network
-    own = 1000 * rmse(network.evaluate(test.windows), test.window_reference)
-    found, refused = [], 0
+    unit_rmse = 1000 * rmse(network.evaluate(test.windows), test.window_reference)
+    values, refused = [], 0
     for target in lot.targets:
         try:
-            found.append(measure(network, train, target, own / 1000))
+            values.append(measure(network, train, target, unit_rmse / 1000))
         except UnitRefused as error:
             refused += 1
             print(f"refused: {error}")
-    columns = [np.array([getattr(unit, name) for unit in found]) for name in UnitRow.__dataclass_fields__]
+    columns = [np.array([getattr(unit, name) for unit in values]) for name in UnitRow.__dataclass_fields__]
     medians = [float(np.median(column)) for column in columns[:2]]
     return [
-        lot.name, "-".join(map(str, network.sizes)), f"{own:.1f} {lot.unit}", f"{medians[0]:.1f}", f"{medians[1]:.1f}",
+        lot.name, "-".join(map(str, network.sizes)), f"{unit_rmse:.1f} {lot.unit}", f"{medians[0]:.1f}",
+        f"{medians[1]:.1f}",
         f"{100 * (medians[1] / medians[0] - 1):+.2f}", f"{columns[2].max():.2f}",
         f"{columns[3].max():.1f}", f"{columns[4].max():.1e}",
-        f"{columns[5].max()}", f"{len(found)} ({refused})",
+        f"{columns[5].max()}", f"{len(values)} ({refused})",
     ]  # fmt: skip
 
 
-def by_size(lot: str, facts: DeviceRecord, network: Network, network_file: NetworkFile, unit: str) -> list[str]:
+def by_size(lot: str, record: DeviceRecord, network: Network, network_file: NetworkFile, unit: str) -> list[str]:
     """Largest and rms change of the estimate by files of each size, and the size an export takes by itself."""
-    cells, taken = [], None
+    cells, smallest = [], None
     for size in UNIT_BYTES:
         try:
-            device = build_unit_file(facts, network, network_file, DeviceOptions(unit_bytes=size))
+            device = build_unit_file(record, network, network_file, DeviceOptions(unit_bytes=size))
         except UnitRefused:
             cells.append("refused")
             continue
         cells.append(f"{1000 * device.max_error:.1f} ({1000 * device.rms_error:.1f})")
-        if taken is None and device.max_error <= device.goal:
-            taken = f"{len(device.file.to_bytes())} B"
-    span = float(np.ptp(network.evaluate(facts.unit_map.apply(facts.recording.windows))))
-    return [lot, facts.serial, f"{1000 * span:.0f} {unit}", *cells, taken or "the nearest"]
+        if smallest is None and device.max_error <= device.goal:
+            smallest = f"{len(device.file.to_bytes())} B"
+    span = float(np.ptp(network.evaluate(record.unit_map.apply(record.recording.windows))))
+    return [lot, record.serial, f"{1000 * span:.0f} {unit}", *cells, smallest or "the nearest"]
 
 
 def lot_sizes(lot: LotData, epochs: int) -> Iterator[list[str]]:
     """Every target of a lot behind one small network."""
     train, test = _split(lot.source)
     network = fit_network(train, NetworkConfig(hidden=(32, 16), max_epochs=epochs)).network
-    own, network_file = (
+    unit_rmse, network_file = (
         rmse(network.evaluate(test.windows), test.window_reference),
         build_network_file(network, train, AnchorConfig()),
     )
     for target in lot.targets:
-        facts = facts_of(network, train, _split(target)[0], own)
-        yield by_size(lot.name, facts, network, network_file, lot.unit)
+        record = make_record(network, train, _split(target)[0], unit_rmse)
+        yield by_size(lot.name, record, network, network_file, lot.unit)
 
 
 def demo_sizes(path: Path) -> Iterator[list[str]]:

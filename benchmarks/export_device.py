@@ -66,14 +66,14 @@ def run_on_board(  # type: ignore[no-untyped-def]
     network_file, unit: DeviceUnit, codes: np.ndarray, board: str, optimise: str
 ) -> Board:
     """Build the example firmware, run it, and hold it against the NumPy reference."""
-    told, found = run_program(network_file, unit.file, codes, board, optimise)
-    per_tick = told["per_1000_ticks"] / 1000
+    counters, estimates = run_program(network_file, unit.file, codes, board, optimise)
+    per_tick = counters["per_1000_ticks"] / 1000
     return Board(
-        told["estimate_ticks"] * per_tick,
-        told["open_ticks"] * per_tick,
-        told["ram_bytes"],
-        told["stack_bytes"],
-        bool(np.array_equal(found, reference(network_file, unit, codes))),
+        counters["estimate_ticks"] * per_tick,
+        counters["open_ticks"] * per_tick,
+        counters["ram_bytes"],
+        counters["stack_bytes"],
+        bool(np.array_equal(estimates, reference(network_file, unit, codes))),
     )
 
 
@@ -91,9 +91,9 @@ def run_program(  # type: ignore[no-untyped-def]
         command = ["make", "-s", *settings, "run"]
         text = subprocess.run(command, cwd=where, capture_output=True, text=True, check=True).stdout
     lines = [line.split() for line in text.splitlines() if line]
-    told = {row[0]: int(row[1]) for row in lines if len(row) == 2 and row[0] != "e"}
-    found = np.array([row[1:] for row in lines if row[0] == "e"], dtype=int)
-    return told, found
+    counters = {row[0]: int(row[1]) for row in lines if len(row) == 2 and row[0] != "e"}
+    estimates = np.array([row[1:] for row in lines if row[0] == "e"], dtype=int)
+    return counters, estimates
 
 
 def reference(network_file, unit: DeviceUnit, codes: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
@@ -114,8 +114,8 @@ def rows(quick: bool) -> Iterator[tuple[str, ...]]:
         chosen = choose_map(FitProblem(source, network, target.unlabelled)).unit_map
         estimate = network.evaluate(chosen.apply(target.windows))
         network_file = build_network_file(network, source, AnchorConfig())
-        facts = DeviceRecord("S2", 1, "pass", 0, chosen, target.unlabelled, estimate - 0.4, estimate + 0.4, None)
-        unit = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.from_converter(10, 5.0)))
+        record = DeviceRecord("S2", 1, "pass", 0, chosen, target.unlabelled, estimate - 0.4, estimate + 0.4, None)
+        unit = build_unit_file(record, network, network_file, DeviceOptions(InputScale.from_converter(10, 5.0)))
         codes = unit.file.scale.codes(target.unlabelled.output)[:SAMPLES]
         for name, (board, clock_MHz, cycles, options) in BOARDS.items():
             if board == "uno" and len(network_file.to_bytes()) > UNO_FLASH / 2:

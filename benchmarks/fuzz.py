@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from common.command import Commands, Kept
+from common.command import Commands, ResultCache
 from common.registries import begin_lot, state
 from common.tables import print_table
 
@@ -45,7 +45,7 @@ TABLE_SHARES = {"csv": 0.6, "bytes": 0.3, "xlsx": 0.04, "parquet": 0.06}
 FILE_SHARES = {"csv": 0.35, "bytes": 0.25, "xlsx": 0.1, "sheet": 0.08, "parquet": 0.12, "toml": 0.09, "archive": 0.01}
 OUTCOMES = ("refused", "made", "traceback", "wrong", "left")
 BY_LIMIT = ("memory", "time")
-MOST_BYTES, MOST_S = 2_000_000_000, 60
+MAX_BYTES, MAX_S = 2_000_000_000, 60
 CHUNK = {"archive": 20}
 
 Row = tuple[object, ...]
@@ -63,7 +63,7 @@ def tables(options: argparse.Namespace) -> None:
             for _ in range(count):
                 fuzz.one()
             examples.extend(fuzz.examples)
-            return kind, count, *(fuzz.found[what] for what in OUTCOMES), time.perf_counter() - start_s
+            return kind, count, *(fuzz.counts[what] for what in OUTCOMES), time.perf_counter() - start_s
 
     head = "kind | files | refused in one line | made as it stands | traceback | wrong lot | left by half | s"
     print_table(head, map(row, options.kinds))
@@ -79,11 +79,11 @@ def files(options: argparse.Namespace) -> None:
     the others are broken as bytes.
     """
     examples: list[str] = []
-    kept = Kept(options.kept)
+    cache = ResultCache(options.kept)
 
     def row(kind: str) -> Row:
         count = 20 if options.quick else round(FILE_SHARES[kind] * options.files)
-        return measured(kind, count, f"{options.seed} {kind}", kept, examples)
+        return measured(kind, count, f"{options.seed} {kind}", cache, examples)
 
     head = "kind | files | refused in one line | read as it stands | traceback | wrong | left by half | "
     print_table(head + "beyond 2 GB | beyond 60 s | slowest s | largest MB", map(row, options.kinds))
@@ -91,7 +91,7 @@ def files(options: argparse.Namespace) -> None:
 
 
 ROWS = 40
-ODD = (
+ODD_CELLS = (
     "", " ", "nan", "inf", "-inf", "1e400", "abc", "=1+1", "True", "0x1A", "1,5", "1_000", "\u0661", "\u22121",
     "1e", "--1", '"', "'", "\0", "\x1a", "\ufeff", "NULL", "#N/A", "12:00", "2026-01-01", "9" * 400, "1e-400", "+",
     ".", "\\N",
@@ -109,9 +109,9 @@ def broken(rng: random.Random, rows: list[list[str]]) -> str:
     row, cell = rng.randrange(len(rows)), rng.randrange(3)
     what = rng.randrange(12)
     if what == 0:
-        rows[row][cell % len(rows[row])] = rng.choice(ODD)
+        rows[row][cell % len(rows[row])] = rng.choice(ODD_CELLS)
     elif what == 1:
-        rows[row].append(rng.choice(ODD))
+        rows[row].append(rng.choice(ODD_CELLS))
     elif what == 2:
         rows[row].pop()
     elif what == 3:
@@ -169,14 +169,14 @@ def expected(text: str) -> np.ndarray | None:
     header = [cell.removeprefix("\ufeff").strip() for cell in rows[0]] if rows else []
     if any(header.count(name) != 1 for name in ("t_s", "output", "reference")):
         return None
-    places = [header.index(name) for name in ("t_s", "output", "reference")]
+    columns = [header.index(name) for name in ("t_s", "output", "reference")]
     try:
         if len(rows[-1]) < len(header) and not text.endswith(("\n", "\r")):
             rows[-1] = rows[-1][:-1] + [""] * (len(header) - len(rows[-1]) + 1)
         elif len(rows) > 2 and len(rows[-1]) == len(header) and not text.endswith(("\n", "\r")):
             shortest = min(len(row[-1]) for row in rows[1:-1] if row)
             rows[-1] = rows[-1][:-1] + [""] if 0 < len(rows[-1][-1]) < shortest else rows[-1]
-        values = np.array([[_sample(row[k]) for k in places] for row in rows[1:]])
+        values = np.array([[_sample(row[k]) for k in columns] for row in rows[1:]])
     except (ValueError, IndexError):
         return None
     if not len(values) or any(any(map(str.strip, row[len(header) :])) for row in rows[1:]):
@@ -204,12 +204,12 @@ class Fuzz:
 
     def __init__(self, kind: str, folder: Path, rng: random.Random) -> None:
         self._kind, self._folder, self._rng = kind, folder, rng
-        self.found: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self.examples: list[str] = []
 
     def one(self) -> None:
         """Break one file, import it, and count what became of it."""
-        path, text = self._written()
+        path, text = self._files_written()
         out = self._folder / "lot"
         plan = ImportPlan([path], Columns("output", "reference", "t_s"), Lot("fuzz", "S0", 50.0), serials=["S0"])
         try:
@@ -221,11 +221,11 @@ class Fuzz:
         else:
             self._count("made" if self._is_right(out, text) else "wrong", repr(text)[:400])
             shutil.rmtree(out)
-        left = [entry for entry in self._folder.iterdir() if entry != path]
-        if left:
-            self._count("left", str(left))
+        leftovers = [entry for entry in self._folder.iterdir() if entry != path]
+        if leftovers:
+            self._count("left", str(leftovers))
 
-    def _written(self) -> tuple[Path, str | None]:
+    def _files_written(self) -> tuple[Path, str | None]:
         rows = good_rows(self._rng)
         path = self._folder / f"S0.{'csv' if self._kind == 'bytes' else self._kind}"
         whole = "\n".join(",".join(row) for row in rows)
@@ -252,19 +252,19 @@ class Fuzz:
         return content.getvalue()
 
     def _is_right(self, out: Path, text: str | None) -> bool:
-        got = pd.read_csv(out / "source" / "S0.csv").to_numpy(float)
+        imported = pd.read_csv(out / "source" / "S0.csv").to_numpy(float)
         # Checksums of Excel and Parquet cover the cells; what still opens must hold them all.
         right = None if text is None else expected(text)
         return (
             right is not None
-            and got.shape == right.shape
-            and np.allclose(got, right, rtol=1e-14, atol=0, equal_nan=True)
+            and imported.shape == right.shape
+            and np.allclose(imported, right, rtol=1e-14, atol=0, equal_nan=True)
         )
 
     def _count(self, what: str, example: str) -> None:
         # A refusal because memory ran out is no refusal.
         what = "memory" if "MemoryError" in example else what
-        self.found[what] += 1
+        self.counts[what] += 1
         if what in ("traceback", "wrong", "left") and len(self.examples) < 40:
             self.examples.append(f"{self._kind} {what}: {example}")
 
@@ -275,7 +275,7 @@ class SheetFuzz(Fuzz):
     def __init__(self, kind: str, folder: Path, rng: random.Random) -> None:
         super().__init__("xlsx", folder, rng)
 
-    def _written(self) -> tuple[Path, str | None]:
+    def _files_written(self) -> tuple[Path, str | None]:
         rows, path = good_rows(self._rng), self._folder / "S0.xlsx"
         with zipfile.ZipFile(io.BytesIO(self._binary(rows))) as archive:
             parts = {name: archive.read(name) for name in archive.namelist()}
@@ -337,8 +337,8 @@ class ArchiveFuzz(Fuzz):
         else:
             with open_registry(f"sqlite:///{into}", create=False) as registry:
                 self._count("wrong" if registry.verify() or len(registry.lots.units("bench")) != 7 else "made", "")
-        for left in self._folder.glob("*d.db*"):
-            left.unlink() if left.name.startswith(("broken", "restored")) else None
+        for leftover in self._folder.glob("*d.db*"):
+            leftover.unlink() if leftover.name.startswith(("broken", "restored")) else None
 
 
 KINDS: dict[str, Callable[[str, Path, random.Random], Fuzz]] = {
@@ -353,56 +353,56 @@ def child(kind: str, seed: str, first: int, stop: int) -> None:
     with tempfile.TemporaryDirectory(prefix="softcal-bench-") as folder:
         rng = random.Random(f"{seed} {first}")
         fuzz = KINDS[kind](kind, Path(folder), rng)
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+        resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
         slowest_s = 0.0
         for k in range(first, stop):
-            signal.alarm(MOST_S)
+            signal.alarm(MAX_S)
             start_s = time.perf_counter()
             try:
                 fuzz.one()
             except MemoryError:
-                fuzz.found["memory"] += 1
+                fuzz.counts["memory"] += 1
             except Exception as error:
                 fuzz._count("traceback", f"{type(error).__name__}: {error}")
             signal.alarm(0)
             slowest_s = max(slowest_s, time.perf_counter() - start_s)
             peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            told = {"next": k + 1, "found": dict(fuzz.found), "slowest_s": slowest_s, "peak_MB": peak_MB}
-            print(json.dumps({**told, "examples": fuzz.examples}), flush=True)
+            progress = {"next": k + 1, "found": dict(fuzz.counts), "slowest_s": slowest_s, "peak_MB": peak_MB}
+            print(json.dumps({**progress, "examples": fuzz.examples}), flush=True)
 
 
 def chunk_of(kind: str, seed: str, first: int, stop: int) -> Iterator[dict[str, Any]]:
     """Run the files of a chunk in children and give what each found; a file that ended its child is counted itself."""
     while first < stop:
         command = [sys.executable, __file__, "--child", kind, seed, str(first), str(stop)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        lines = done.stdout.splitlines()
-        told: dict[str, Any] = {"next": first, "found": {}, "slowest_s": 0.0, "peak_MB": 0.0}
+        process = subprocess.run(command, capture_output=True, text=True, check=False)
+        lines = process.stdout.splitlines()
+        progress: dict[str, Any] = {"next": first, "found": {}, "slowest_s": 0.0, "peak_MB": 0.0}
         if lines:
-            told = json.loads(lines[-1])
-        first = int(told["next"])
+            progress = json.loads(lines[-1])
+        first = int(progress["next"])
         if first < stop:
-            what = "time" if done.returncode == -signal.SIGALRM else "memory"
-            told["found"][what] = told["found"].get(what, 0) + 1
-            told.setdefault("examples", []).append(
-                f"{kind} {first}: child ended with {done.returncode} {done.stderr[-300:]}"
+            what = "time" if process.returncode == -signal.SIGALRM else "memory"
+            progress["found"][what] = progress["found"].get(what, 0) + 1
+            progress.setdefault("examples", []).append(
+                f"{kind} {first}: child ended with {process.returncode} {process.stderr[-300:]}"
             )
             first += 1
-        yield told
+        yield progress
 
 
-def measured(kind: str, files: int, seed: str, kept: Kept, examples: list[str]) -> Row:
+def measured(kind: str, files: int, seed: str, cache: ResultCache, examples: list[str]) -> Row:
     """Read all files of a kind, chunk by chunk, and return a row of the table."""
-    found: Counter[str] = Counter()
+    outcomes: Counter[str] = Counter()
     slowest_s = peak_MB = 0.0
     size = CHUNK.get(kind, 100)
     for first in range(0, files, size):
         stop = min(first + size, files)
-        for told in kept.of(f"{seed} {first} {stop}", lambda f=first, s=stop: list(chunk_of(kind, seed, f, s))):  # type: ignore[misc]
-            found.update(told["found"])
-            examples.extend(told.get("examples", []))
-            slowest_s, peak_MB = max(slowest_s, told["slowest_s"]), max(peak_MB, told["peak_MB"])
-    return kind, files, *(found[what] for what in (*OUTCOMES, *BY_LIMIT)), slowest_s, peak_MB
+        for part in cache.get(f"{seed} {first} {stop}", lambda f=first, s=stop: list(chunk_of(kind, seed, f, s))):  # type: ignore[misc]
+            outcomes.update(part["found"])
+            examples.extend(part.get("examples", []))
+            slowest_s, peak_MB = max(slowest_s, part["slowest_s"]), max(peak_MB, part["peak_MB"])
+    return kind, files, *(outcomes[what] for what in (*OUTCOMES, *BY_LIMIT)), slowest_s, peak_MB
 
 
 def main() -> None:
@@ -410,9 +410,9 @@ def main() -> None:
         child(sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5]))
         return
     every = Commands(__doc__)
-    for work, quick, most, shares in ((tables, 400, 100_000, TABLE_SHARES), (files, 140, 20_000, FILE_SHARES)):
+    for work, quick, max_count, shares in ((tables, 400, 100_000, TABLE_SHARES), (files, 140, 20_000, FILE_SHARES)):
         parser = every.add(work, f"{quick} files")
-        parser.add_argument("--files", type=int, default=most)
+        parser.add_argument("--files", type=int, default=max_count)
         parser.add_argument("--seed", type=int, default=0)
         parser.add_argument("--kinds", nargs="+", choices=tuple(shares), default=tuple(shares), help="default: all")
     parser.add_argument("--kept", type=Path, help="file that keeps what was found, to go on after a break")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common.command import Kept, parser_of
+from common.command import ResultCache, parser_of
 from common.gap_cases import as_case, print_twins
 from common.tables import print_table
 
@@ -86,59 +86,63 @@ def realised(sealed: SealedCase, report: Mapping[str, Any] | None) -> float | No
     return finite_or_none(explained_fraction(sealed, report))
 
 
-def kept_case(sealed: SealedCase, kept: Kept, experiment: RunPlan | None = None) -> Diagnosed:
+def load_or_diagnose(sealed: SealedCase, cache: ResultCache, experiment: RunPlan | None = None) -> Diagnosed:
     """Diagnose a case, with one more run where given, or take it from the cases done by this revision."""
 
     def made() -> dict[str, Any]:
-        found = diagnosed(sealed, None if experiment is None else (*sealed.plans, experiment))
-        shrink = None if experiment else realised(sealed, found.report)
-        content = {"report": found.report, "seconds": found.seconds, "realised": shrink}
-        return content | {"distance_sigma": found.label.distance_sigma}
+        diagnosed_case = diagnosed(sealed, None if experiment is None else (*sealed.plans, experiment))
+        shrink = None if experiment else realised(sealed, diagnosed_case.report)
+        content = {"report": diagnosed_case.report, "seconds": diagnosed_case.seconds, "realised": shrink}
+        return content | {"distance_sigma": diagnosed_case.label.distance_sigma}
 
-    content = kept.of(sealed.name if experiment is None else f"{sealed.name}+{experiment.protocol}", made)
+    content = cache.get(sealed.name if experiment is None else f"{sealed.name}+{experiment.protocol}", made)
     label = Label(sealed, "", content["distance_sigma"])
     return Diagnosed(label, content["report"], content["seconds"], content["realised"])
 
 
-def run_lines(lines: Sequence[str], count: int, seed: int, log: Path | None, kept: Kept) -> list[Diagnosed]:
+def run_lines(lines: Sequence[str], count: int, seed: int, log: Path | None, cache: ResultCache) -> list[Diagnosed]:
     """Diagnose `count` fresh cases of every line; a line's rows are printed when it is through."""
-    done: list[Diagnosed] = []
+    cases: list[Diagnosed] = []
     for line in lines:
         for number in range(count):
-            done.append(kept_case(draw_case(seed + number, f"{line}-{seed + number}", line), kept))
+            cases.append(load_or_diagnose(draw_case(seed + number, f"{line}-{seed + number}", line), cache))
             print(f"\r{line} {number + 1}/{count} ", end="", file=sys.stderr, flush=True)
-            _log(done[-1], log)
-        here, seconds = done[-count:], [d.seconds for d in done[-count:]]
+            _log(cases[-1], log)
+        here, seconds = cases[-count:], [d.seconds for d in cases[-count:]]
         print_lines(scored(here))
-        middle, most = np.median(seconds), np.quantile(seconds, 0.9)
-        print(f"{line}: seconds of processor time per case {middle:.1f} (median), {most:.1f} (90 %)\n", flush=True)
-    return done
+        middle, p90_s = np.median(seconds), np.quantile(seconds, 0.9)
+        print(f"{line}: seconds of processor time per case {middle:.1f} (median), {p90_s:.1f} (90 %)\n", flush=True)
+    return cases
 
 
-def scored(done: Sequence[Diagnosed]) -> ScoreSheet:
-    reports = {d.label.case.name: d.report for d in done if d.report is not None}
-    shrinks = {d.label.case.name: np.nan if d.realised is None else d.realised for d in done}
-    return score_reports([d.label for d in done], reports, lambda label, _: shrinks[label.case.name])
+def scored(cases: Sequence[Diagnosed]) -> ScoreSheet:
+    reports = {d.label.case.name: d.report for d in cases if d.report is not None}
+    realised_fractions = {d.label.case.name: np.nan if d.realised is None else d.realised for d in cases}
+    return score_reports([d.label for d in cases], reports, lambda label, _: realised_fractions[label.case.name])
 
 
-def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
+def _log(diagnosed_case: Diagnosed, log: Path | None, what: str = "") -> None:
     if log is None:
         return
-    if found.report is None:
+    if diagnosed_case.report is None:
         with log.open("a") as file:
-            file.write(f"{found.label.case.name}{what}: no report; its traceback is on standard error\n")
+            file.write(f"{diagnosed_case.label.case.name}{what}: no report; its traceback is on standard error\n")
         return
-    judged = CaseScore(found.label, read_answer(found.label.case.name, found.report))
-    if judged.outcome in ("right", "below noise") and not what:
+    case_score = CaseScore(diagnosed_case.label, read_answer(diagnosed_case.label.case.name, diagnosed_case.report))
+    if case_score.outcome in ("right", "below noise") and not what:
         return
-    likely = {c["effect"]: round(c["probability"], 2) for c in found.report["causes"] if c["probability"] > 0.02}
-    truth = " + ".join(f"{cause.effect} ({cause.form})" for cause in found.label.case.causes) or "none"
-    truth += f", {found.label.case.mistake}" if found.label.case.mistake else ""
-    said = [(d["what"], d["channel"], d["runs"], d["factor"]) for d in found.report["data"]]
+    likely = {
+        c["effect"]: round(c["probability"], 2) for c in diagnosed_case.report["causes"] if c["probability"] > 0.02
+    }
+    truth = " + ".join(f"{cause.effect} ({cause.form})" for cause in diagnosed_case.label.case.causes) or "none"
+    truth += f", {diagnosed_case.label.case.mistake}" if diagnosed_case.label.case.mistake else ""
+    mistakes = [(d["what"], d["channel"], d["runs"], d["factor"]) for d in diagnosed_case.report["data"]]
     with log.open("a") as file:
         file.write(
-            f"{found.label.case.name}{what}: {judged.outcome}; truth {truth}, {found.label.distance_sigma:.0f} sigma; "
-            f"said {found.report['verdict']} {likely} {found.report['ambiguous_with']} {said}; {found.seconds:.1f} s\n"
+            f"{diagnosed_case.label.case.name}{what}: {case_score.outcome}; "
+            f"truth {truth}, {diagnosed_case.label.distance_sigma:.0f} sigma; "
+            f"said {diagnosed_case.report['verdict']} {likely} {diagnosed_case.report['ambiguous_with']} "
+            f"{mistakes}; {diagnosed_case.seconds:.1f} s\n"
         )
 
 
@@ -147,12 +151,12 @@ def print_lines(sheet: ScoreSheet) -> None:
     rows = []
     for row in (row for row in (*sheet.rows, *sheet.fractions.rows) if row.count):
         target = TARGETS.get((row.line, row.measure))
-        found = f"{row.hits}/{row.count}", f"{100 * row.share:.1f} %", between(*row.interval)
-        rows.append((row.line, row.measure, *found, "" if target is None else f"≥ {target} %"))
+        cells = f"{row.hits}/{row.count}", f"{100 * row.share:.1f} %", interval_text(*row.interval)
+        rows.append((row.line, row.measure, *cells, "" if target is None else f"≥ {target} %"))
     print_table("line | measure | hits | share | 95 % interval | target", rows)
 
 
-def between(low: float, high: float) -> str:
+def interval_text(low: float, high: float) -> str:
     return f"{100 * low:.0f}–{100 * high:.0f} %"
 
 
@@ -165,11 +169,13 @@ def print_detection(sheet: ScoreSheet) -> None:
     print_table(header, ((effect, *(cells.get((effect, low), "") for low, _ in edges)) for effect in effects))
 
 
-def print_sureness(done: Sequence[Diagnosed], sheet: ScoreSheet) -> None:
+def print_sureness(cases: Sequence[Diagnosed], sheet: ScoreSheet) -> None:
     """Print the calibration of the probabilities, the shrink, and the seconds of the runs above."""
-    sure, seconds = sheet.probabilities, [d.seconds for d in done]
-    stated = [(p, e in j.truth) for j in sheet.case_scores if j.answer for e, p in j.answer.probabilities.items()]
-    open_ = np.array([pair for pair in stated if 0.05 < pair[0] < 0.95]).reshape(-1, 2)
+    sure, seconds = sheet.probabilities, [d.seconds for d in cases]
+    probabilities = [
+        (p, e in j.truth) for j in sheet.case_scores if j.answer for e, p in j.answer.probabilities.items()
+    ]
+    open_ = np.array([pair for pair in probabilities if 0.05 < pair[0] < 0.95]).reshape(-1, 2)
     pair = "{:.2f}, {:.2f}".format(*open_.mean(axis=0)) if len(open_) else "–"
     shrink, often = sheet.fractions, f"{np.median(seconds):.1f}, {np.quantile(seconds, 0.9):.1f}"
     rows = {
@@ -184,36 +190,39 @@ def print_sureness(done: Sequence[Diagnosed], sheet: ScoreSheet) -> None:
     print_table("measure | value", rows.items())
 
 
-def print_experiments(done: Sequence[Diagnosed], seed: int, kept: Kept, log: Path | None) -> None:
+def print_experiments(cases: Sequence[Diagnosed], seed: int, cache: ResultCache, log: Path | None) -> None:
     """Ask the sealed rig for what an ambiguous report proposes, diagnose again, and compare with a random choice."""
-    rng, lines = np.random.default_rng(seed), dict.fromkeys(d.label.case.line for d in done)
+    rng, lines = np.random.default_rng(seed), dict.fromkeys(d.label.case.line for d in cases)
     tally = {line: np.zeros(4, dtype=int) for line in (*lines, "all")}
-    for first in done:
+    for first in cases:
         if first.report is None or first.report["verdict"] != "ambiguous":
             continue
         sealed, proposal = first.label.case, str(first.report["next_experiment"]["profile"])
         counts = [1, 0, 0, 0]
         if proposal in EXPERIMENTS:
             plans = [RunPlan(str(name), sealed.kept_back.seed) for name in (proposal, rng.choice(EXPERIMENTS))]
-            proposed, random = (kept_case(sealed, kept, plan) for plan in plans)
+            proposed, random = (load_or_diagnose(sealed, cache, plan) for plan in plans)
             counts = [1, 1, int(is_resolved(proposed)), int(is_resolved(random))]
             if not is_resolved(proposed):
                 _log(proposed, log, f" after {proposal}")
         for line in (sealed.line, "all"):
             tally[line] += counts
     rows = []
-    for line, (ambiguous, asked, hits, chance) in tally.items():
-        share = between(*wilson(hits, asked)) if asked else ""
+    for line, (ambiguous, experiments, hits, chance) in tally.items():
+        share = interval_text(*wilson(hits, experiments)) if experiments else ""
         if ambiguous:
-            rows.append((line, ambiguous, asked, f"{hits}/{asked}", share, f"{chance}/{asked}"))
+            rows.append((line, ambiguous, experiments, f"{hits}/{experiments}", share, f"{chance}/{experiments}"))
     print_table("line | ambiguous | with a run proposed | resolved by it | 95 % interval | by a random run", rows)
 
 
-def is_resolved(found: Diagnosed) -> bool:
+def is_resolved(diagnosed_case: Diagnosed) -> bool:
     """Whether the right causes are named and nothing is ambiguous any more."""
-    if found.report is None or found.report["verdict"] not in ("explained", "no_gap"):
+    if diagnosed_case.report is None or diagnosed_case.report["verdict"] not in ("explained", "no_gap"):
         return False
-    return CaseScore(found.label, read_answer(found.label.case.name, found.report)).outcome == "right"
+    return (
+        CaseScore(diagnosed_case.label, read_answer(diagnosed_case.label.case.name, diagnosed_case.report)).outcome
+        == "right"
+    )
 
 
 def print_speed(count: int, seed: int) -> None:
@@ -245,20 +254,20 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep every case here; a run that was cut off goes on")
     parser.add_argument("--log", type=Path, help="append one line per case that is not right")
     options = parser.parse_args()
-    count, kept = 4 if options.quick else options.cases, Kept(options.keep and options.keep / "cases.jsonl")
+    count, cache = 4 if options.quick else options.cases, ResultCache(options.keep and options.keep / "cases.jsonl")
     seed = secrets.randbits(24) if options.seed is None else options.seed
     print(f"Seeds {seed} to {seed + count - 1}, {count} cases per line.\n")
     if {"lines", "detection", "sureness", "experiments"} & set(options.tables):
-        done = run_lines(options.lines, count, seed, options.log, kept)
-        sheet = scored(done)
+        cases = run_lines(options.lines, count, seed, options.log, cache)
+        sheet = scored(cases)
         if "lines" in options.tables:
             print_lines(sheet)
         if "detection" in options.tables:
             print_detection(sheet)
         if "sureness" in options.tables:
-            print_sureness(done, sheet)
+            print_sureness(cases, sheet)
         if "experiments" in options.tables:
-            print_experiments(done, seed, kept, options.log)
+            print_experiments(cases, seed, cache, options.log)
     if "speed" in options.tables:
         print_speed(max(3, count // 10), seed)
     for line, name in (("outside", "residual"), ("form", "forms")):

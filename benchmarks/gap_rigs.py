@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common.command import Commands, Kept
+from common.command import Commands, ResultCache
 from common.drawn_mechanisms import LAWS, draw_mechanism
 from common.gap_cases import as_case
 from common.least_squares import best_sets, error_of
@@ -45,7 +45,7 @@ from softcal.core.challenge.score import (
 )
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import Diagnosis
-from softcal.core.gap.places import explained_twin
+from softcal.core.gap.fault_location import explained_twin
 from softcal.core.gap.simulator_model import diagnose_simulator
 from softcal.core.gap.twin import diagnose
 from softcal.core.lot_diagnosis import LotDiagnosis, diagnose_lot
@@ -58,7 +58,7 @@ Row = tuple[object, ...]
 
 # Units of a lot.
 
-WORDS = ("right", "ambiguous", "unknown", "not seen", "wrong")
+OUTCOME_NAMES = ("right", "ambiguous", "unknown", "not seen", "wrong")
 
 
 def lot(options: argparse.Namespace) -> None:
@@ -73,43 +73,46 @@ def lot(options: argparse.Namespace) -> None:
         for seed in options.seeds:
             units = draw_lot(seed, options.line, options.units)
             hidden = {cause.effect for cause in units[0].causes}
-            found = diagnose_lot({sealed.name: as_case(sealed, sealed.plans) for sealed in units})
-            ones = [member.diagnosis for member in found.members]
-            words = [
-                said(d.verdict, d.best.hypothesis.ids, [r.hypothesis.ids for r in d.competing_hypotheses], hidden)
+            lot_diagnosis = diagnose_lot({sealed.name: as_case(sealed, sealed.plans) for sealed in units})
+            ones = [member.diagnosis for member in lot_diagnosis.members]
+            outcomes = [
+                outcome_of(d.verdict, d.best.hypothesis.ids, [r.hypothesis.ids for r in d.competing_hypotheses], hidden)
                 for d in ones
             ]
-            whole = said(found.verdict, found.causes, found.competing_hypotheses, hidden)
-            alone.update(words)
+            whole = outcome_of(lot_diagnosis.verdict, lot_diagnosis.causes, lot_diagnosis.competing_hypotheses, hidden)
+            alone.update(outcomes)
             together[whole] += 1
-            named, odd = " / ".join(" + ".join(r) for r in found.competing_hypotheses), ", ".join(found.outliers)
-            yield seed, " + ".join(sorted(hidden)), ", ".join(words), whole, named, odd
+            hypotheses_text, outliers_text = (
+                " / ".join(" + ".join(r) for r in lot_diagnosis.competing_hypotheses),
+                ", ".join(lot_diagnosis.outliers),
+            )
+            yield seed, " + ".join(sorted(hidden)), ", ".join(outcomes), whole, hypotheses_text, outliers_text
             if options.calibration:
-                worths.extend((" + ".join(sorted(hidden)), worth) for worth in worth_of(found, units))
+                worths.extend((" + ".join(sorted(hidden)), worth) for worth in worth_of(lot_diagnosis, units))
 
     print_table("seed | hidden | each unit alone | the lot | named | outliers", rows())
     counts = (("units alone", alone), ("lots", together))
-    print_table(("", *WORDS), ((name, *(counter[word] for word in WORDS)) for name, counter in counts))
+    print_table(("", *OUTCOME_NAMES), ((name, *(counter[word] for word in OUTCOME_NAMES)) for name, counter in counts))
     if worths:
         print_worths(worths)
 
 
-def said(verdict: str, best: Sequence[str], rivals: Sequence[Sequence[str]], hidden: set[str]) -> str:
+def outcome_of(verdict: str, best: Sequence[str], competitors: Sequence[Sequence[str]], hidden: set[str]) -> str:
     """Return how an answer stands to the hidden causes."""
     if verdict in ("unknown", "data"):
         return "unknown"
-    if len(rivals) > 1 and any(set(ids) == hidden for ids in rivals):
+    if len(competitors) > 1 and any(set(ids) == hidden for ids in competitors):
         return "ambiguous"
-    if set(best) == hidden and len(rivals) <= 1:
+    if set(best) == hidden and len(competitors) <= 1:
         return "right"
     return "wrong" if best else "not seen"
 
 
-def worth_of(found: LotDiagnosis, lot: Sequence[SealedCase]) -> list[CalibrationWorth]:
+def worth_of(lot_diagnosis: LotDiagnosis, lot: Sequence[SealedCase]) -> list[CalibrationWorth]:
     """Return what the shared causes are worth to each unit that follows them."""
     out = []
-    for sealed, member in zip(lot, found.members, strict=True):
-        if found.verdict in ("explained", "ambiguous") and member.follows and member.fit is not None:
+    for sealed, member in zip(lot, lot_diagnosis.members, strict=True):
+        if lot_diagnosis.verdict in ("explained", "ambiguous") and member.follows and member.fit is not None:
             audit = as_case(sealed, [sealed.kept_back])
             out.append(calibration_worth(sealed.name, member.diagnosis.case, audit, member.fit))
     return out
@@ -154,9 +157,9 @@ def transfer(options: argparse.Namespace) -> None:
     off: dict[str, list[tuple[float, float]]] = {name: [] for name in MEASURES}
 
     def rows() -> Iterator[Row]:
-        for effect, verdict, found in transfers(range(seed, last + 1), options.units):
+        for effect, verdict, transfer_result in transfers(range(seed, last + 1), options.units):
             errors = {}
-            for name, *three, of_base, of_twin in found.rows():
+            for name, *three, of_base, of_twin in transfer_result.rows():
                 off[name].append((of_base, of_twin))
                 errors[name] = _listed(three)
             yield effect, verdict, *(errors[name] for name in MEASURES)
@@ -172,10 +175,10 @@ def rig_lot(sealed: SealedCase, units: int) -> PressedLot:
     """Return a lot pressed on a sealed rig as the calibration takes it."""
     runs: dict[tuple[str, str], LotRun] = {(r.folder, r.serial): r for r in press_lot(sealed, units)}
     serials = [serial for folder, serial in runs if folder == "units"]
-    pressed = tuple(
+    pressed_lot = tuple(
         LotUnit(labelled(runs["units", s], sealed).unlabelled, labelled(runs["audit", s], sealed)) for s in serials
     )
-    return PressedLot(labelled(runs["source", "R00"], sealed), pressed)
+    return PressedLot(labelled(runs["source", "R00"], sealed), pressed_lot)
 
 
 def labelled(run: LotRun, sealed: SealedCase) -> LabelledRecording:
@@ -190,13 +193,13 @@ def transfers(seeds: Iterable[int], units: int) -> Iterable[tuple[str, str, Tran
         sealed = draw_case(seed, f"rig-{seed}", "usual")
         if sealed.causes[0].effect in EPISODIC:
             continue
-        found = diagnose(as_case(sealed, sealed.plans))
+        diagnosis = diagnose(as_case(sealed, sealed.plans))
         try:
-            pressed = rig_lot(sealed, units)
+            pressed_lot = rig_lot(sealed, units)
             yield (
                 sealed.causes[0].effect,
-                found.verdict,
-                transferred(pressed, explained_twin(found.base), explained_twin(found.best)),
+                diagnosis.verdict,
+                transferred(pressed_lot, explained_twin(diagnosis.base), explained_twin(diagnosis.best)),
             )
         except (InputError, ValueError) as error:
             print(f"seed {seed}, {sealed.causes[0].effect}: no lot: {error}")
@@ -222,41 +225,43 @@ def plants(options: argparse.Namespace) -> None:
     to 904 chose constants or are used by tests. Plants from 5000 on chose nothing.
     """
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "core"))
-    drawn = importlib.import_module("test_gap_run_nuisance")
+    drawn_case = importlib.import_module("test_gap_run_nuisance")
     counts: dict[tuple[str, str], Counter[str]] = {}
     wrong = []
-    for line, hidden, seed, found in judged_plants(drawn, range(options.first, options.first + options.count)):
-        counts.setdefault((line, hidden), Counter())[found] += 1
-        wrong += [f"plant {seed}, {line}, {hidden}"] if found == "wrong" else []
+    for line, hidden, seed, diagnosis in score_plants(drawn_case, range(options.first, options.first + options.count)):
+        counts.setdefault((line, hidden), Counter())[diagnosis] += 1
+        wrong += [f"plant {seed}, {line}, {hidden}"] if diagnosis == "wrong" else []
     rows = ((*of, *(counter[word] for word in OUTCOMES)) for of, counter in counts.items())
     print_table(("delay between samples", "hidden", *OUTCOMES), rows)
     print("wrong: " + ("; ".join(wrong) or "none"))
 
 
-def judged_plants(drawn: Any, seeds: range) -> Iterator[tuple[str, str, int, str]]:
+def score_plants(drawn_case: Any, seeds: range) -> Iterator[tuple[str, str, int, str]]:
     """Yield line, hidden cause, plant and outcome."""
     for seed in seeds:
-        for line, (noise, is_straight) in PLANT_LINES.items():
+        for line, (noise, is_linear) in PLANT_LINES.items():
             for hidden in PLANTED:
-                plant = drawn.Plant(seed)
-                found = diagnose_simulator(plant.simulator, plant.recorded(noise, is_straight, drawn.CAUSES[hidden]))
-                true = {hidden} - {"none", *drawn.ALIASES}
-                yield line, hidden, seed, outcome(found, drawn.named(found), true)
-        blind = drawn.blind(seed)
+                plant = drawn_case.Plant(seed)
+                diagnosis = diagnose_simulator(
+                    plant.simulator, plant.recorded(noise, is_linear, drawn_case.CAUSES[hidden])
+                )
+                true = {hidden} - {"none", *drawn_case.ALIASES}
+                yield line, hidden, seed, outcome(diagnosis, drawn_case.named(diagnosis), true)
+        blind = drawn_case.blind(seed)
         # Right for a cause without a candidate is that nothing explains it.
-        word = "wrong" if drawn.named(blind) else "right" if blind.verdict == "unknown" else "missed"
+        word = "wrong" if drawn_case.named(blind) else "right" if blind.verdict == "unknown" else "missed"
         yield "no candidate for it", "cubic", seed, word
 
 
-def outcome(found: Diagnosis, named: set[str], true: set[str]) -> str:
+def outcome(diagnosis: Diagnosis, named_causes: set[str], true: set[str]) -> str:
     """Return how an answer stands to the hidden causes."""
-    if found.verdict == "ambiguous" and true and true <= named:
+    if diagnosis.verdict == "ambiguous" and true and true <= named_causes:
         return "set"
-    if named == true and found.verdict == ("explained" if true else "no_gap"):
+    if named_causes == true and diagnosis.verdict == ("explained" if true else "no_gap"):
         return "right"
-    if named - true:
+    if named_causes - true:
         return "wrong"
-    return "honest" if found.verdict == "unknown" else "missed"
+    return "honest" if diagnosis.verdict == "unknown" else "missed"
 
 
 # Measured systems, and mechanisms with a rest that has no name.
@@ -275,14 +280,22 @@ def measured(options: argparse.Namespace) -> None:
             rig, folder = rigs[name], data_folder() / "rigs" / name
             fitted, held_out = rig.runs(folder, rig.fitted), rig.runs(folder, rig.held_out)
             report: Any = diagnose_simulator(rig.simulator, fitted).report()
-            base, found = (
+            base, explained_error = (
                 error_of(rig.simulator, held_out, numbers_of(rig, report[k])) for k in ("base", "parameters")
             )
-            ids, _, least = best_sets(rig.simulator, fitted, held_out, options.starts)[0]
+            ids, _, min_error = best_sets(rig.simulator, fitted, held_out, options.starts)[0]
             sure = [f"{c['effect']} {c['probability']:.2f}" for c in report["causes"] if c["probability"] >= 0.5]
             in_set = " + ".join(c["effect"] for c in report["causes"] if c["shrink"] is not None)
-            stated = (report["verdict"], f"{report['list_complete']:.2f}", ", ".join(sure), in_set)
-            yield name, *stated, base, found, least, " + ".join(ids), f"{100 * (found / least - 1):+.1f} %"
+            reported = (report["verdict"], f"{report['list_complete']:.2f}", ", ".join(sure), in_set)
+            yield (
+                name,
+                *reported,
+                base,
+                explained_error,
+                min_error,
+                " + ".join(ids),
+                f"{100 * (explained_error / min_error - 1):+.1f} %",
+            )
 
     head = "system | verdict | list complete | named at 0.5 | set | base | set, held out | best least squares | its set"
     print_table(f"{head} | set against it", rows())
@@ -305,17 +318,17 @@ def presence(options: argparse.Namespace) -> None:
     wrong. Mechanisms 1 to 40, 101 to 210 and, withheld, 1001 to 1038, 1101 to 1156 chose the constants; those of 7000
     to 7039 were looked at for one of them. Others from 5000 on chose nothing.
     """
-    stated, present, inside, false_names, verdicts = [], [], [], 0, Counter[str]()
-    kept = Kept(options.kept)
+    probabilities, present, inside, false_names, verdicts = [], [], [], 0, Counter[str]()
+    cache = ResultCache(options.kept)
     for k, seed in enumerate(range(options.first, options.first + options.count)):
         law = list(LAWS)[k % len(LAWS)] if options.withheld else None
-        found = kept.of(f"{seed} {law}", lambda: judged_mechanism(seed, law))  # noqa: B023
-        verdicts[f"{found['rest']}: {found['verdict']}"] += 1
-        stated += found["chances"].values()
-        present += [effect in found["present"] for effect in found["chances"]]
-        false_names += any(p >= 0.5 for i, p in found["chances"].items() if i not in found["present"])
-        inside += [] if found["is_inside"] is None else [found["is_inside"]]
-    p, at_work = np.array(stated), np.array(present, dtype=np.float64)
+        outcome_read = cache.get(f"{seed} {law}", lambda: score_mechanism(seed, law))  # noqa: B023
+        verdicts[f"{outcome_read['rest']}: {outcome_read['verdict']}"] += 1
+        probabilities += outcome_read["chances"].values()
+        present += [effect in outcome_read["present"] for effect in outcome_read["chances"]]
+        false_names += any(p >= 0.5 for i, p in outcome_read["chances"].items() if i not in outcome_read["present"])
+        inside += [] if outcome_read["is_inside"] is None else [outcome_read["is_inside"]]
+    p, at_work = np.array(probabilities), np.array(present, dtype=np.float64)
     rows = []
     for low, high in pairwise(NAMED_EDGES):
         here = (p >= low) & ((p < high) | (high == 1.0))
@@ -326,23 +339,23 @@ def presence(options: argparse.Namespace) -> None:
     print(f"Mechanisms {options.first} to {options.first + options.count - 1}\n")
     print_table("stated probability | causes | mean stated | at work", rows)
     low, high = wilson(false_names, options.count)
-    named = f"{false_names} of {options.count} ({100 * low:.0f} to {100 * high:.0f} %)"
-    print(f"A cause that is not there is named at 0.5 or more in {named} mechanisms.\n")
+    false_text = f"{false_names} of {options.count} ({100 * low:.0f} to {100 * high:.0f} %)"
+    print(f"A cause that is not there is named at 0.5 or more in {false_text} mechanisms.\n")
     print(f"Calibration error {calibration_error(p, at_work):.3f}; log score {log_score(p, at_work):.2f} nats.\n")
     print(f"Held-out shrink within the forecast's interval: {sum(inside)} of {len(inside)}.\n")
     print_table("rest and verdict | mechanisms", sorted(verdicts.items()))
 
 
-def judged_mechanism(seed: int, law: str | None) -> dict[str, Any]:
+def score_mechanism(seed: int, law: str | None) -> dict[str, Any]:
     """Return what a diagnosis says of a drawn mechanism, and what is there."""
-    drawn = draw_mechanism(seed, law)
-    found = diagnose_simulator(drawn.simulator, drawn.runs)
-    shrink, is_inside = found.explained_fraction, None
-    if shrink.low is not None and shrink.high is not None and found.best.ids:
+    drawn_case = draw_mechanism(seed, law)
+    diagnosis = diagnose_simulator(drawn_case.simulator, drawn_case.runs)
+    shrink, is_inside = diagnosis.explained_fraction, None
+    if shrink.low is not None and shrink.high is not None and diagnosis.best.ids:
         is_inside = shrink.low <= shrink.held_out <= shrink.high
-    chances = {c.effect: c.probability for c in found.causes}
-    kept = {"chances": chances, "present": sorted(drawn.present), "rest": drawn.rest}
-    return kept | {"verdict": found.verdict, "is_inside": is_inside}
+    chances = {c.effect: c.probability for c in diagnosis.causes}
+    stored = {"chances": chances, "present": sorted(drawn_case.present), "rest": drawn_case.rest}
+    return stored | {"verdict": diagnosis.verdict, "is_inside": is_inside}
 
 
 # The withheld check.
@@ -355,7 +368,7 @@ PUBLISHED_CASES = 6
 """The floors of these lines are low: fewer cases might miss them by chance."""
 
 WRONG = ("alarm", "wrong", "no report")
-MOST_WRONG = 3
+MAX_WRONG = 3
 """Two in a hundred may go astray; four of these would be no accident."""
 
 
@@ -366,21 +379,23 @@ def blind(options: argparse.Namespace) -> None:
     falls below its floor, or where four rigs or more get a wrong name. Nothing is drawn a second time.
     """
     seed = secrets.randbits(SEED_BITS) if options.seed is None else options.seed
-    judged: list[CaseScore] = []
+    case_scores: list[CaseScore] = []
     with tempfile.TemporaryDirectory() as folder:
         for line in MIN_SHARES:
-            judged += diagnosed(line, seed, Path(folder) / line)
-            print(f"{line}: {', '.join(j.outcome for j in judged if j.label.case.line == line)}", flush=True)
+            case_scores += diagnosed(line, seed, Path(folder) / line)
+            print(f"{line}: {', '.join(j.outcome for j in case_scores if j.label.case.line == line)}", flush=True)
     empty = score_reports([], {})
-    short = shortfalls(ScoreSheet(tuple(judged), empty.rows, empty.detection, empty.probabilities, empty.fractions))
-    usual = [j for j in judged if not j.label.case.line.startswith("published")]
+    short = shortfalls(
+        ScoreSheet(tuple(case_scores), empty.rows, empty.detection, empty.probabilities, empty.fractions)
+    )
+    usual = [j for j in case_scores if not j.label.case.line.startswith("published")]
     wrong = [j for j in usual if j.outcome in WRONG]
-    if len(wrong) > MOST_WRONG:
-        short.append(f"{len(wrong)} of {len(usual)} rigs got a wrong name; {MOST_WRONG} at most were expected")
+    if len(wrong) > MAX_WRONG:
+        short.append(f"{len(wrong)} of {len(usual)} rigs got a wrong name; {MAX_WRONG} at most were expected")
     for j in wrong:
         print(f"{j.label.case.line} {j.label.case.name}: {j.outcome}, hidden {[c.effect for c in j.label.case.causes]}")
-    right = sum(j.outcome == "right" for j in judged)
-    print(f"\nseed {seed}: {right} of {len(judged)} right, {len(wrong)} wrong\n" + "\n".join(short))
+    right = sum(j.outcome == "right" for j in case_scores)
+    print(f"\nseed {seed}: {right} of {len(case_scores)} right, {len(wrong)} wrong\n" + "\n".join(short))
     sys.exit(1 if short else 0)
 
 
@@ -405,10 +420,10 @@ def diagnosed(line: str, seed: int, folder: Path) -> list[CaseScore]:
     return [CaseScore(label, read_answer(label.case.name, answers[label.case.name])) for label in labels]
 
 
-def run(*words: str) -> None:
+def run(*outcomes: str) -> None:
     """Run one command of `softcal gap`; end where it fails."""
-    if (code := softcal(["gap", *words])) != 0:
-        sys.exit(f"softcal gap {' '.join(words)}: exit code {code}")
+    if (code := softcal(["gap", *outcomes])) != 0:
+        sys.exit(f"softcal gap {' '.join(outcomes)}: exit code {code}")
 
 
 def main() -> None:

@@ -54,8 +54,8 @@ def main() -> int:
     print_table(
         ("act", "done", "refused"), [(name, str(counts[name]), str(counts[f"{name} refused"])) for name in acts]
     )
-    held = "held" if not is_broken else "held, and the next one did not"
-    print(f"\n{histories} histories of at most {options.acts} acts {held}, {spent_s:.0f} s. After every act:\n")
+    passed = "held" if not is_broken else "held, and the next one did not"
+    print(f"\n{histories} histories of at most {options.acts} acts {passed}, {spent_s:.0f} s. After every act:\n")
     print("\n".join(f"- {promise}" for promise in PROMISES))
     return int(is_broken)
 

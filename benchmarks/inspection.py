@@ -79,14 +79,20 @@ class Shares:
         self.counts: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0, 0, 0])
 
     def add(self, key: tuple[str, str], planted: Mask, masked: Mask) -> None:
-        found, wrong = int((planted & masked).sum()), int((~planted & masked).sum())
-        for place, value in enumerate((int(planted.sum()), found, int((~planted).sum()), wrong)):
-            self.counts[key][place] += value
+        found_count, wrong = int((planted & masked).sum()), int((~planted & masked).sum())
+        for index, value in enumerate((int(planted.sum()), found_count, int((~planted).sum()), wrong)):
+            self.counts[key][index] += value
 
     def rows(self) -> list[list[object]]:
         return [
-            [*key, planted, f"{found / planted:.2%}" if planted else "-", good, f"{wrong / good:.4%}" if good else "-"]
-            for key, (planted, found, good, wrong) in self.counts.items()
+            [
+                *key,
+                planted,
+                f"{found_count / planted:.2%}" if planted else "-",
+                good,
+                f"{wrong / good:.4%}" if good else "-",
+            ]
+            for key, (planted, found_count, good, wrong) in self.counts.items()
         ]
 
 
@@ -95,28 +101,28 @@ def plant_spikes(shares: Shares, name: str, output: Array, rate_Hz: float, rng: 
     usual = invalid(inspected(output, None, rate_Hz), len(output))
     for kind, change in CABLES.items():
         for length in range(1, max(1, round(0.06 * rate_Hz)) + 1):
-            spoilt, rows, is_hidden = output.copy(), np.zeros(len(output), dtype=bool), np.zeros(len(output), bool)
+            faulty, rows, is_hidden = output.copy(), np.zeros(len(output), dtype=bool), np.zeros(len(output), bool)
             starts = rng.choice(np.arange(40, len(output) - 40, 40), SPIKES_EACH, replace=False) + rng.integers(30)
             for start in starts:
-                spoilt[start : start + length] = change(output[start : start + length])
+                faulty[start : start + length] = change(output[start : start + length])
                 rows[start : start + length] = True
-                is_hidden[start : start + length] = height_share(spoilt, start, length, output) < VISIBLE_SHARE
-            masked = invalid(inspected(spoilt, None, rate_Hz), len(output))
+                is_hidden[start : start + length] = height_share(faulty, start, length, output) < VISIBLE_SHARE
+            masked = invalid(inspected(faulty, None, rate_Hz), len(output))
             masked &= ~(usual & ~rows)
             shares.add((name, f"cable {kind}, {length} samples"), rows & ~is_hidden, masked & ~is_hidden)
             if is_hidden.any():
                 shares.add((name, f"cable {kind}, less than {VISIBLE_SHARE:.0%} high"), is_hidden, masked & is_hidden)
     for code in CODES:
-        spoilt, rows = output.copy(), np.zeros(len(output), dtype=bool)
+        faulty, rows = output.copy(), np.zeros(len(output), dtype=bool)
         rows[rng.choice(len(output), SPIKES_EACH, replace=False)] = True
-        spoilt[rows] = code
-        masked = invalid(inspected(spoilt, None, rate_Hz), len(output))
+        faulty[rows] = code
+        masked = invalid(inspected(faulty, None, rate_Hz), len(output))
         shares.add((name, f"code {code:g}"), rows, masked & ~(usual & ~rows))
 
 
-def height_share(spoilt: Array, start: int, length: int, output: Array) -> float:
+def height_share(faulty: Array, start: int, length: int, output: Array) -> float:
     """Return by which share of the range all of a planted run lies beyond both its neighbours."""
-    run, neighbours = spoilt[start : start + length], spoilt[[start - 1, start + length]]
+    run, neighbours = faulty[start : start + length], faulty[[start - 1, start + length]]
     height = max(neighbours.min() - run.max(), run.min() - neighbours.max())
     return float(height / np.ptp(np.quantile(output, (0.01, 0.99))))
 
@@ -178,12 +184,12 @@ def measure(
         references[name, "as measured: lag, held or tare"][0] += 1
         references[name, "as measured: lag, held or tare"][1] += len(plain.inspection.of_kind("lag", "held", "tare"))
         plant_tares(references, name, (output, force, rate_Hz), rng)
-        for fault, kind, spoilt, reference, row in reference_faults(output, force, rate_Hz):
-            found = inspected(spoilt, reference, rate_Hz).inspection.of_kind(kind)
+        for fault, kind, faulty, reference, row in reference_faults(output, force, rate_Hz):
+            found_count = inspected(faulty, reference, rate_Hz).inspection.of_kind(kind)
             if kind == "lag":
-                lags[name, fault].append(scatter(spoilt, reference) / scatter(output, force))
+                lags[name, fault].append(scatter(faulty, reference) / scatter(output, force))
             references[name, fault][0] += 1
-            references[name, fault][1] += any(abs(one.start - row) <= 3 for one in found)
+            references[name, fault][1] += any(abs(one.start - row) <= 3 for one in found_count)
     return shares, references, lags
 
 
@@ -194,7 +200,7 @@ def main() -> None:
     options = parser.parse_args()
     shares, references, lags = measure(options.seed, options.quick)
     print_table(("set", "fault", "planted samples", "found", "good samples", "masked of them"), shares.rows())
-    rows = [[*key, tried, found] for key, (tried, found) in references.items()]
+    rows = [[*key, trials, found_count] for key, (trials, found_count) in references.items()]
     print_table(("set", "fault of the reference", "tried", "found in its place"), rows)
     rows = [[*key, len(values), f"{min(values):.2f} to {max(values):.2f}"] for key, values in lags.items()]
     print_table(("set", "lag", "recordings", "scatter at equal output, times that as measured"), rows)

@@ -67,9 +67,9 @@ def print_shares(name: str, group: list[Case]) -> None:
 def with_share(case: Case, share: float) -> float:
     """Return the coverage had this share of the map's variance been used."""
     kinds = CorrespondenceTable()
-    used = (kinds.stage if case.has_stage else kinds.blind).interval_share
+    interval_share = (kinds.stage if case.has_stage else kinds.blind).interval_share
     added = case.calibration.interval.half_width**2 - case.source_half_width**2
-    half_width = np.sqrt(case.source_half_width**2 + added * share / used)
+    half_width = np.sqrt(case.source_half_width**2 + added * share / interval_share)
     interval = replace(case.calibration.interval, half_width=half_width)
     fit = replace(case.calibration.fit, fitted=replace(case.calibration.fitted, interval=interval))
     return coverage(estimate(case.network, replace(case.calibration, fit=fit), case.test.unlabelled), case.test)

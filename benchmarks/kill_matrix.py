@@ -45,7 +45,7 @@ UNITS = 4
 PASSING = {"work_items", "heartbeats", "line_places", "jobs", "registry_info", "run_signals"}
 """Tables of work in progress."""
 
-DRAWN = {"hash", "prev_hash", "seq", "before", "after", "fit_s", "origin", "token_sha256", "pin_hash", "state_sha256",
+VARYING = {"hash", "prev_hash", "seq", "before", "after", "fit_s", "origin", "token_sha256", "pin_hash", "state_sha256",
          "made_by", "follows_origin"}  # fmt: skip
 """Columns that hold a chain, a duration, or what is drawn at random."""
 
@@ -64,10 +64,10 @@ class Case:
     is_fresh: bool = False
 
 
-def _case(words: str, *more: str, is_fresh: bool = False, has_registry: bool = True) -> Case:
-    argv = (*words.split(), *more, *(("--registry", "{url}") if has_registry else ()))
-    action = list(takewhile(lambda word: not word.startswith(("--", "{")), words.split()))
-    options = [word for word in words.split()[len(action) :] if word in ("--out", "--refit", "--withdraw")]
+def _case(arguments: str, *more: str, is_fresh: bool = False, has_registry: bool = True) -> Case:
+    argv = (*arguments.split(), *more, *(("--registry", "{url}") if has_registry else ()))
+    action = list(takewhile(lambda word: not word.startswith(("--", "{")), arguments.split()))
+    options = [word for word in arguments.split()[len(action) :] if word in ("--out", "--refit", "--withdraw")]
     return Case(" ".join(action + options), argv, is_fresh)
 
 
@@ -208,13 +208,13 @@ class _World:
 
 def _run(argv: list[str]) -> int:
     """Run a command in this process; return its exit code."""
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as stderr:
         try:
             code = softcal(argv)
         except SystemExit as end:
             code = int(end.code or 0)
     if code not in (0, 1):
-        _run.said = said.getvalue()  # type: ignore[attr-defined]
+        _run.said = stderr.getvalue()  # type: ignore[attr-defined]
     return code
 
 
@@ -272,9 +272,9 @@ def _killed(
     (_, again), second_s = _undisturbed(world, case, kind)
     seconds = min(first_s, second_s)
     same = {path for path, sha256 in files.items() if again.get(path) == sha256}
-    cut = broken = unlike = twice = done = 0
-    while cut < kills and done < 3 * kills and (not done or time.monotonic() < end_s):
-        done += 1
+    cut = broken = unlike = twice = completed = 0
+    while cut < kills and completed < 3 * kills and (not completed or time.monotonic() < end_s):
+        completed += 1
         with world.registry(kind, case.is_fresh) as url, tempfile.TemporaryDirectory() as name:
             root = Path(name)
             _prepare(case, world, root)
@@ -288,23 +288,25 @@ def _killed(
             with contextlib.suppress(NoRegistry), open_registry(url, create=False) as registry:
                 is_whole = registry.verify() == []
             _run(argv)
-            left, written = _dump(url, name), _files(root)
-            is_like = {t: set(r) for t, r in left.items()} == {t: set(r) for t, r in rows.items()}
-            is_like = is_like and set(written) == set(files) and all(written[path] == files[path] for path in same)
+            rows_after, files_after = _dump(url, name), _files(root)
+            is_like = {t: set(r) for t, r in rows_after.items()} == {t: set(r) for t, r in rows.items()}
+            is_like = (
+                is_like and set(files_after) == set(files) and all(files_after[path] == files[path] for path in same)
+            )
             broken, unlike = broken + (not is_whole), unlike + (not is_like)
-            is_twice = sum(map(len, left.values())) > sum(map(len, rows.values()))
+            is_twice = sum(map(len, rows_after.values())) > sum(map(len, rows.values()))
             twice += is_twice
             if not is_like or not is_whole or is_twice:
-                _tell(case, kind, rows, left, files, written, same)
+                _classify(case, kind, rows, rows_after, files, files_after, same)
     return case.name, kind, cut, broken, unlike, twice
 
 
-def _tell(case: Case, kind: str, rows: Any, left: Any, files: Any, written: Any, same: set[str]) -> None:
+def _classify(case: Case, kind: str, rows: Any, rows_after: Any, files: Any, files_after: Any, same: set[str]) -> None:
     for table in rows:
-        before, after = Counter(rows[table]), Counter(left[table])
+        before, after = Counter(rows[table]), Counter(rows_after[table])
         for sign, one in (("-", before - after), ("+", after - before)):
             print(f"{case.name} {kind} {table} {sign} {sorted(one)[:3]}"[:600], file=sys.stderr) if one else None
-    names = {path for path in same if written.get(path) != files[path]} | (set(written) ^ set(files))
+    names = {path for path in same if files_after.get(path) != files[path]} | (set(files_after) ^ set(files))
     print(f"{case.name} {kind} files {sorted(names)[:8]}", file=sys.stderr) if names else None
 
 
@@ -316,11 +318,11 @@ def _dump(url: str, root: str) -> dict[str, list[str]]:
         for table in metadata.sorted_tables:
             if table.name in PASSING or table.name == "blobs":
                 continue
-            columns = [c for c in table.columns if not isinstance(c.type, UtcTime) and not {c.name, str(c)} & DRAWN]
+            columns = [c for c in table.columns if not isinstance(c.type, UtcTime) and not {c.name, str(c)} & VARYING]
             if table.name == "audit":
                 columns = [c for c in columns if c.name in ("action", "entity", "reason")]
-            found = connection.execute(select(*columns)).all()
-            rows[table.name] = sorted(repr([_plain(value) for value in row]).replace(root, "") for row in found)
+            table_rows = connection.execute(select(*columns)).all()
+            rows[table.name] = sorted(repr([_plain(value) for value in row]).replace(root, "") for row in table_rows)
     engine.dispose()
     return rows
 

@@ -550,7 +550,7 @@ def options_of(draft: Draft, declared: dict[str, Any]) -> ColumnNames:
     )
 
 
-def judge(draft: Draft, path: Path) -> tuple[str, str]:
+def check_import(draft: Draft, path: Path) -> tuple[str, str]:
     """Return the outcome of a file and the line that says why."""
     declared, refusals = dict(draft.given), list[str]()
     for _ in range(MAX_TRIES):
@@ -559,8 +559,8 @@ def judge(draft: Draft, path: Path) -> tuple[str, str]:
             file = inspect_recording(path, "A", declared.get("sample-rate"), names=names, with_reference=True)
         except InputError as error:
             refusals.append(str(error))
-            asked = [key for key in OPTIONS if re.search(rf"--{key}\b|{key.replace('-', ' ')}", refusals[-1])]
-            new = {key: draft.truth[key] for key in asked if key in draft.truth and key not in declared}
+            options_asked = [key for key in OPTIONS if re.search(rf"--{key}\b|{key.replace('-', ' ')}", refusals[-1])]
+            new = {key: draft.truth[key] for key in options_asked if key in draft.truth and key not in declared}
             if draft.blamed and re.search(draft.blamed, refusals[-1]):
                 return CURED, refusals[0]
             if not new:
@@ -584,11 +584,11 @@ def difference(draft: Draft, file: FileRecording) -> str:
     if not np.allclose(t_s - t_s[0], draft.t_s - draft.t_s[0], rtol=0, atol=2e-6):
         return f"time {t_s[0]:g} to {t_s[-1]:g} s where {draft.t_s[0]:g} to {draft.t_s[-1]:g} s was drawn"
     for role in ("output", "reference"):
-        drawn = getattr(draft, role)
-        if not np.array_equal(np.isnan(columns[role]), np.isnan(drawn)):
+        expected = getattr(draft, role)
+        if not np.array_equal(np.isnan(columns[role]), np.isnan(expected)):
             return f"other samples of the {role} are missing"
-        if not np.allclose(columns[role], drawn, rtol=1e-9, atol=0, equal_nan=True):
-            return f"{role} {columns[role][:3]} where {drawn[:3]} was drawn"
+        if not np.allclose(columns[role], expected, rtol=1e-9, atol=0, equal_nan=True):
+            return f"{role} {columns[role][:3]} where {expected[:3]} was drawn"
     return ""
 
 
@@ -608,7 +608,7 @@ def main() -> int:
             draft = draw(random.Random(f"{options.seed} {number}"))
             path = Path(folder) / f"f{number}{draft.suffix}"
             path.write_bytes(draft.content)
-            outcome, line = judge(draft, path)
+            outcome, line = check_import(draft, path)
             counts[outcome] += 1
             for kind, value in draft.kinds.items():
                 by_kind[kind, value][outcome] += 1

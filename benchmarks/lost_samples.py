@@ -42,7 +42,7 @@ def pairs(sets: list[str]) -> Iterator[tuple[str, LabelledRecording, list[Labell
         for source, unit in (("S1", "S2"), ("S2", "S1")):
             yield "eGaIn", egain(source), [egain(unit)]
     if "skin" in sets:
-        yield "skin", skin("middle").part(0, 2400), [skin(place).part(0, 2400) for place in ("left", "right")]
+        yield "skin", skin("middle").part(0, 2400), [skin(position).part(0, 2400) for position in ("left", "right")]
     if "insole" in sets:
         table = insole("calibration")
         yield "insole, another day", taxel(table, "taxel_001"), [taxel(insole("validation_1"), one) for one in TAXELS]
@@ -121,7 +121,7 @@ def ratios(name: str, model: SourceModel, unit: LabelledRecording, seeds: int) -
     whole, _ = fit_unit(UnitProblem(model, recording))
     error = true_error(model, unit, whole.fitted.unit_map)
     for damage, apply in DAMAGES.items():
-        forecasts, errors, found, planted, good = [], [], 0, 0, 0
+        forecasts, errors, found_count, planted, good = [], [], 0, 0, 0
         for seed in range(seeds):
             output, rows = apply(raw.output, np.random.default_rng(seed))
             part, left_out = looked_at(raw, output)
@@ -129,11 +129,11 @@ def ratios(name: str, model: SourceModel, unit: LabelledRecording, seeds: int) -
             forecasts.append(fit.forecast.rmse / whole.forecast.rmse)
             errors.append(true_error(model, unit, fit.fitted.unit_map) / error)
             planted += len(rows)
-            found += len(np.intersect1d(rows, left_out))
+            found_count += len(np.intersect1d(rows, left_out))
             good += len(np.setdiff1d(left_out, [*rows, *usual]))
         spread = [f"{value:.3f}" for value in (min(forecasts), np.median(forecasts), max(forecasts), max(errors))]
         unit_name = f"{model.source.serial} to {unit.serial}"
-        yield [name, unit_name, whole.family, damage, f"{found} of {planted}", good, *spread]
+        yield [name, unit_name, whole.family, damage, f"{found_count} of {planted}", good, *spread]
 
 
 def true_error(model: SourceModel, unit: LabelledRecording, unit_map) -> float:

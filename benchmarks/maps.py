@@ -63,8 +63,8 @@ def first(recording: OutputRecording, share: float, seed: int) -> OutputRecordin
 def scattered(recording: OutputRecording, share: float, seed: int) -> OutputRecording:
     """Windows drawn over the whole recording, in time order."""
     blocks = len(recording) // TAPS
-    drawn = np.random.default_rng(seed).choice(blocks, max(1, round(share * blocks)), replace=False)
-    rows = (TAPS * np.sort(drawn)[:, None] + np.arange(TAPS)).ravel()
+    blocks_drawn = np.random.default_rng(seed).choice(blocks, max(1, round(share * blocks)), replace=False)
+    rows = (TAPS * np.sort(blocks_drawn)[:, None] + np.arange(TAPS)).ravel()
     stage_mm = None if recording.stage_mm is None else recording.stage_mm[rows]
     return replace(recording, t_s=recording.t_s[rows], output=recording.output[rows], stage_mm=stage_mm)
 
@@ -74,16 +74,16 @@ def curve(
 ) -> list[float]:
     """After / own per share; NaN where the recording is refused."""
     config = NetworkConfig(seed=seed)
-    network, own = fit_network(source, config).network, own_error(unit, test, config)
+    network, own_rmse = fit_network(source, config).network, own_error(unit, test, config)
     ratios = []
     for share in SHARES:
         try:
-            seen = part(unit.unlabelled, share, seed)
-            unit_map = choose_map(FitProblem(source, network, seen, seed=seed)).unit_map
+            partial = part(unit.unlabelled, share, seed)
+            unit_map = choose_map(FitProblem(source, network, partial, seed=seed)).unit_map
         except SoftcalError:
             ratios.append(float("nan"))
             continue
-        ratios.append(rmse(network.evaluate(unit_map.apply(test.windows)), test.window_reference) / own)
+        ratios.append(rmse(network.evaluate(unit_map.apply(test.windows)), test.window_reference) / own_rmse)
     return ratios
 
 
@@ -111,7 +111,7 @@ def insole_cases(seed: int) -> list[Case]:
     return [(taxel(day, "taxel_060", train), taxel(day, "taxel_030", train), taxel(day, "taxel_030", test), seed)]
 
 
-SHOWN = ("before (no map)", "softcal default", "monotone", "ot.da.EMDTransport", "ot.da.LinearTransport")
+METHODS_SHOWN = ("before (no map)", "softcal default", "monotone", "ot.da.EMDTransport", "ot.da.LinearTransport")
 UNITS_PER_LOT = 5
 
 
@@ -121,13 +121,13 @@ def shift(options: argparse.Namespace) -> None:
     for has_stage in (True, False):
         rows = [(name, *line(name, has_stage, lots)) for name in SHIFTS]
         print(f"Stage position {'known' if has_stage else 'unknown'}, after / own, median (95 %):\n")
-        print_table(("load of the units", *SHOWN, "families taken", "verdicts"), rows)
+        print_table(("load of the units", *METHODS_SHOWN, "families taken", "verdicts"), rows)
 
 
 def line(shift: str, has_stage: bool, lots: int) -> list[str]:
     """One kind of shift: median and 95th percentile per method, what the default chose and what it says of it."""
     ratios: dict[str, list[float]] = {}
-    taken, words = Counter[str](), Counter[str]()
+    families, verdicts = Counter[str](), Counter[str]()
     for seed in range(lots):
         lot = simulate_lot(seed, LotDesign(good=UNITS_PER_LOT, shift=shift, has_stage=has_stage))
         trained = fit_network(lot.source, NETWORK)
@@ -138,13 +138,15 @@ def line(shift: str, has_stage: bool, lots: int) -> list[str]:
         for unit in lot.units:
             cut = 3 * len(unit.audit) // 4
             train, test = unit.audit.part(0, cut), unit.audit.part(cut, len(unit.audit))
-            problem, own = FitProblem(lot.source, network, unit.recording), own_error(train, test, NETWORK)
-            for name in SHOWN:
-                ratios.setdefault(name, []).append(rmse(METHODS[name](problem, test), test.window_reference) / own)
-            taken[choose_map(problem).family] += 1
-            words[verdict_word(problem, model)] += 1
-    cells = [summary(ratios[name]) for name in SHOWN]
-    counts = [", ".join(f"{name} {count}" for name, count in sorted(counter.items())) for counter in (taken, words)]
+            problem, own_rmse = FitProblem(lot.source, network, unit.recording), own_error(train, test, NETWORK)
+            for name in METHODS_SHOWN:
+                ratios.setdefault(name, []).append(rmse(METHODS[name](problem, test), test.window_reference) / own_rmse)
+            families[choose_map(problem).family] += 1
+            verdicts[verdict_word(problem, model)] += 1
+    cells = [summary(ratios[name]) for name in METHODS_SHOWN]
+    counts = [
+        ", ".join(f"{name} {count}" for name, count in sorted(counter.items())) for counter in (families, verdicts)
+    ]
     return [f"{m:.2f} ({p:.2f})" for m, p, _ in cells] + counts
 
 

@@ -22,7 +22,7 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
 
 FIT, TEST = (0, 800), (800, 1200)
-LEAST_APART = 0.2
+MIN_DISTANCE = 0.2
 """Share of the range by which two known loads differ."""
 
 
@@ -52,8 +52,8 @@ def run(source: str, target: str, seeds: range) -> dict[str, tuple[float, float]
         errors.setdefault("affine, with the unit's labels", []).append(labelled_affine(network, unit, test))
         for name, method in METHODS.items():
             errors.setdefault(name, []).append(rmse(method(problem, test), test.window_reference))
-    own = float(np.median(errors["own calibration"]))
-    return {name: (float(np.median(values)), float(np.median(values)) / own) for name, values in errors.items()}
+    own_rmse = float(np.median(errors["own calibration"]))
+    return {name: (float(np.median(values)), float(np.median(values)) / own_rmse) for name, values in errors.items()}
 
 
 def in_motion(source: str, target: str, draws: int = 100) -> tuple[float, float, float]:
@@ -65,11 +65,11 @@ def in_motion(source: str, target: str, draws: int = 100) -> tuple[float, float,
     pairs: list[Anchors | None] = []
     while len(pairs) < draws:
         rows = rng.integers(0, len(unit.reference), 2)
-        if abs(np.subtract(*unit.reference[rows])) > LEAST_APART * np.ptp(unit.reference):
+        if abs(np.subtract(*unit.reference[rows])) > MIN_DISTANCE * np.ptp(unit.reference):
             pairs.append(Anchors(unit.unlabelled.output[rows], unit.reference[rows]))
     errors = []
-    for known in [None, *pairs]:
-        mapped = choose_map(replace(problem, anchors=known)).unit_map.apply(test.windows)
+    for pair in [None, *pairs]:
+        mapped = choose_map(replace(problem, anchors=pair)).unit_map.apply(test.windows)
         errors.append(rmse(network.evaluate(mapped), test.window_reference))
     return errors[0], float(np.median(errors[1:])), float(np.quantile(errors[1:], 0.9))
 

@@ -54,7 +54,7 @@ def run(source: str, programme: str, step: int, methods: Sequence[str], seeds: i
     recording = taxel(day, source, train)
     units = [n for n in taxels(day) if n != source][::step]
     errors: dict[str, dict[str, list[float]]] = {name: {} for name in units}
-    judged: dict[str, list[tuple[float, float]]] = {}
+    predictions: dict[str, list[tuple[float, float]]] = {}
     for seed in range(seeds):
         trained = fit_network(recording, NetworkConfig(seed=seed))
         network, model = (
@@ -64,42 +64,45 @@ def run(source: str, programme: str, step: int, methods: Sequence[str], seeds: i
         for name in units:
             test = taxel(day, name, test_rows)
             problem = FitProblem(recording, network, taxel(unit_day, name, unit_rows).unlabelled, seed=seed)
-            found = {"own": own_of(name, programme, seed)}
-            found[BEFORE] = rmse(network.evaluate(test.windows), test.window_reference)
+            errors_of_unit = {"own": own_error_of(name, programme, seed)}
+            errors_of_unit[BEFORE] = rmse(network.evaluate(test.windows), test.window_reference)
             fitted = [method for method in methods if method != BEFORE]
-            found |= {method: rmse(METHODS[method](problem, test), test.window_reference) for method in fitted}
-            for method, error in found.items():
+            errors_of_unit |= {method: rmse(METHODS[method](problem, test), test.window_reference) for method in fitted}
+            for method, error in errors_of_unit.items():
                 errors[name].setdefault(method, []).append(error)
-            if DEFAULT in found:
-                harm, ratio = found[DEFAULT] / found[BEFORE], found[DEFAULT] / found["own"]
-                judged.setdefault(verdict_word(problem, model), []).append((harm, ratio))
-    shown = ("own", BEFORE, *methods)
-    medians = {method: np.array([np.median(errors[name][method]) for name in units]) for method in shown}
+            if DEFAULT in errors_of_unit:
+                harm, ratio = (
+                    errors_of_unit[DEFAULT] / errors_of_unit[BEFORE],
+                    errors_of_unit[DEFAULT] / errors_of_unit["own"],
+                )
+                predictions.setdefault(verdict_word(problem, model), []).append((harm, ratio))
+    columns = ("own", BEFORE, *methods)
+    medians = {method: np.array([np.median(errors[name][method]) for name in units]) for method in columns}
     print(f"Source {source}, {programme} programme, {len(units)} units, medians of {seeds} seeds, after / own:\n")
     print_table(
         ("method", "median", "95 %", "largest", "worse than before"),
         ((m, *summary(medians[m] / medians["own"]), int((medians[m] > medians[BEFORE]).sum())) for m in methods),
     )
-    print_verdicts(judged)
+    print_verdicts(predictions)
 
 
-def print_verdicts(judged: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+def print_verdicts(predictions: Mapping[str, Sequence[tuple[float, float]]]) -> None:
     """Print what the verdicts of the default said, from after / before and after / own of every unit and seed."""
     rows = []
     for word in (*VERDICTS, "refused"):
-        units = judged.get(word, [])
+        units = predictions.get(word, [])
         harmed, far = sum(harm > 1 for harm, _ in units), sum(ratio > FLAGGED for _, ratio in units)
         rows.append((word, len(units), harmed, far))
     print_table(("verdict", "verdicts given", "worse than before", f"after > {FLAGGED:g} x own"), rows)
 
 
 @cache
-def own_of(name: str, programme: str, seed: int) -> float:
+def own_error_of(name: str, programme: str, seed: int) -> float:
     """Error of the unit's own calibration on the test stretches, trained on the day its map was fitted."""
     day = insole("calibration")
     train, test = split(len(day))
-    own = taxel(day, name, train) if programme == "same" else taxel(insole("validation_1"), name)
-    return own_error(own, taxel(day, name, test), NetworkConfig(seed=seed))
+    own_recording = taxel(day, name, train) if programme == "same" else taxel(insole("validation_1"), name)
+    return own_error(own_recording, taxel(day, name, test), NetworkConfig(seed=seed))
 
 
 if __name__ == "__main__":

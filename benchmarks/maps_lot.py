@@ -102,10 +102,10 @@ def by_product(
 
 
 def _scored(network: object, state: UnitState, test: LabelledRecording) -> tuple[float, float, float]:
-    found = estimate(network, state, test.unlabelled)  # type: ignore[arg-type]
-    is_inside = (found.lower <= test.reference) & (test.reference <= found.upper)
-    rows = np.isfinite(found.estimate)
-    return rmse(found.estimate, test.reference), state.forecast.rmse, float(np.mean(is_inside[rows]))
+    estimates = estimate(network, state, test.unlabelled)  # type: ignore[arg-type]
+    is_inside = (estimates.lower <= test.reference) & (test.reference <= estimates.upper)
+    rows = np.isfinite(estimates.estimate)
+    return rmse(estimates.estimate, test.reference), state.forecast.rmse, float(np.mean(is_inside[rows]))
 
 
 def insole_(options: argparse.Namespace) -> None:
@@ -121,7 +121,7 @@ def insole_(options: argparse.Namespace) -> None:
                     [one.forecasts[method][s] / one.errors[method][s] for one in runs[count] for s in errors]
                 )
                 numbers = (*summary(errors.values()), float(inside), float(ratio))
-                rows.append((count, method, *numbers, *(_said(runs[count]) if method == TOGETHER else ("", ""))))
+                rows.append((count, method, *numbers, *(_summary(runs[count]) if method == TOGETHER else ("", ""))))
         planted = ", a third by the source's programme, one dead" if options.planted else ""
         seeds = f"seeds {', '.join(map(str, options.seeds))}"
         print(f"Source {source}, {options.programme} programme{planted}, RMSE in bar, {seeds}:\n")
@@ -140,7 +140,7 @@ def _print_ratios(options: argparse.Namespace, runs: Mapping[int, Sequence[Outco
     for name in sorted({s for of in runs.values() for s in of[0].errors[ALONE]}):
         key = f"{name}, {options.programme}, {options.seeds[0]}"
         if key not in stored:
-            stored[key] = _own(name, options.programme, options.seeds[0])
+            stored[key] = _own_error_of(name, options.programme, options.seeds[0])
             options.own.write_text(json.dumps(stored))
     rows = []
     for count, of in runs.items():
@@ -152,7 +152,7 @@ def _print_ratios(options: argparse.Namespace, runs: Mapping[int, Sequence[Outco
     print_table(("units", "method", "median", "95 %", "largest"), rows)
 
 
-def _said(runs: Sequence[Outcome]) -> tuple[str, str]:
+def _summary(runs: Sequence[Outcome]) -> tuple[str, str]:
     members = sorted({len(one.members) for one in runs})
     alone = sorted({serial for one in runs for serial in one.alone})
     names = f" (alone: {', '.join(alone)})" if 0 < len(alone) <= 6 else ""
@@ -175,11 +175,11 @@ def _insole(source: str, count: int, seed: int, programme: str, is_planted: bool
     return by_product(taxel(day, source, train), list(targets.values()), tests, seed)
 
 
-def _own(name: str, programme: str, seed: int) -> float:
+def _own_error_of(name: str, programme: str, seed: int) -> float:
     day = insole("calibration")
     train, test = split(len(day))
-    own = taxel(day, name, train) if programme == "same" else taxel(insole("validation_1"), name)
-    return own_error(own, taxel(day, name, test), replace(NETWORK, seed=seed))
+    own_recording = taxel(day, name, train) if programme == "same" else taxel(insole("validation_1"), name)
+    return own_error(own_recording, taxel(day, name, test), replace(NETWORK, seed=seed))
 
 
 def simulated(options: argparse.Namespace) -> None:
@@ -208,19 +208,19 @@ def _simulated(seed: int, count: int, by_unit: float, by_press: float) -> Outcom
     common = PROGRAMMES["own programme"](rng, 60.0)
     targets, tests = [], {}
     for k, twin in enumerate(twins[1:]):
-        pressed = scaled(common, 1.0 + by_unit * rng.normal(), by_press, rng)
-        targets.append(_recorded(rng, twin, pressed, f"U{k:02d}").unlabelled)
+        load_N = scaled(common, 1.0 + by_unit * rng.normal(), by_press, rng)
+        targets.append(_recorded(rng, twin, load_N, f"U{k:02d}").unlabelled)
         tests[f"U{k:02d}"] = _recorded(rng, twin, PROGRAMMES["none"](rng, 60.0), f"U{k:02d}")
     return by_product(source, targets, tests, seed)
 
 
 def scaled(profile: Profile, factor: float, by_press: float, rng: np.random.Generator) -> Profile:
     """The profile with other depths, in the same time: all by a factor, and each press by one of its own."""
-    own, segments = factor, []
+    scaled_factor, segments = factor, []
     for segment in profile.segments:
         if segment.target_mm <= 0:
-            own = factor * (1.0 + by_press * rng.normal())
-        segments.append(replace(segment, target_mm=min(segment.target_mm * own, 1.15 * DEPTH_MM)))
+            scaled_factor = factor * (1.0 + by_press * rng.normal())
+        segments.append(replace(segment, target_mm=min(segment.target_mm * scaled_factor, 1.15 * DEPTH_MM)))
     return Profile(profile.name, tuple(segments))
 
 

@@ -34,12 +34,12 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 DAYS = ("calibration", "validation_1")
-PLACES = ("left", "middle", "right")
+POSITIONS = ("left", "middle", "right")
 METHOD_NAMES = ("before (no map)", "two_point", "monotone", "softcal default", "ot.da.EMDTransport")
 LOADS = (1, 2, 3, 5)
 
 
-Kept = TypeVar("Kept")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -65,23 +65,23 @@ class Networks:
     """Networks by the recording they were trained on, and what was measured; kept in a folder between runs."""
 
     def __init__(self, folder: Path | None) -> None:
-        self._folder, self._known = folder, dict[str, Any]()
+        self._folder, self._results = folder, dict[str, Any]()
 
-    def of(self, recording: LabelledRecording) -> Network:
+    def network_of(self, recording: LabelledRecording) -> Network:
         """Return the network of a recording."""
-        return self.kept(recording.sha256, lambda: fit_network(recording, NETWORK).network)
+        return self.load_or_make(recording.sha256, lambda: fit_network(recording, NETWORK).network)
 
-    def kept(self, key: str, make: Callable[[], Kept]) -> Kept:
+    def load_or_make(self, key: str, make: Callable[[], Result]) -> Result:
         """Return what was made under this key, now or by an earlier run."""
         path = None if self._folder is None else self._folder / key
-        if key not in self._known and path is not None and path.exists():
-            self._known[key] = pickle.loads(path.read_bytes())
-        if key not in self._known:
-            self._known[key] = make()
+        if key not in self._results and path is not None and path.exists():
+            self._results[key] = pickle.loads(path.read_bytes())
+        if key not in self._results:
+            self._results[key] = make()
             if path is not None:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(pickle.dumps(self._known[key]))
-        return self._known[key]
+                path.write_bytes(pickle.dumps(self._results[key]))
+        return self._results[key]
 
 
 def main() -> None:
@@ -95,36 +95,39 @@ def main() -> None:
     networks = Networks(options.cache)
     if options.known:
         left_out = set() if options.without is None else set(taxels(insole(DAYS[0]))[:: options.without]) - {*SOURCES}
-        print_known([c for s in options.sets for c in SETS[s](options.every) if c.use.serial not in left_out], networks)
+        print_known_loads(
+            [c for s in options.sets for c in SETS[s](options.every) if c.use.serial not in left_out], networks
+        )
         return
     lines: dict[str, list[dict[str, float]]] = {}
     for name in options.sets:
         for case in SETS[name](options.every):
             lines.setdefault(case.line, []).append(ratios(case, networks))
-    shown = (*METHOD_NAMES, *(f"{count} known" for count in LOADS))
+    columns = (*METHOD_NAMES, *(f"{count} known" for count in LOADS))
     print("after / own, median (95 %):\n")
     rows = [
-        (line, len(found), *(_cell([unit[name] for unit in found]) for name in shown)) for line, found in lines.items()
+        (line, len(line_ratios), *(_cell([unit[name] for unit in line_ratios]) for name in columns))
+        for line, line_ratios in lines.items()
     ]
-    print_table(("source, units", "cases", *shown), rows)
+    print_table(("source, units", "cases", *columns), rows)
     if "insole" in options.sets:
         print("Five sources at once, each unit behind the one that its output is bent most like:\n")
         nearest = {
             name: [ratios(case, networks) for case in cases] for name, cases in nearest_cases(options.every).items()
         }
         rows = [
-            (name, len(found), *(_cell([unit[method] for unit in found]) for method in shown))
-            for name, found in nearest.items()
+            (name, len(line_ratios), *(_cell([unit[method] for unit in line_ratios]) for method in columns))
+            for name, line_ratios in nearest.items()
         ]
-        print_table(("units", "cases", *shown), rows)
+        print_table(("units", "cases", *columns), rows)
 
 
-def print_known(cases: list[Case], networks: Networks) -> None:
+def print_known_loads(cases: list[Case], networks: Networks) -> None:
     """Print medians of two known loads by source, and over all."""
     lines: dict[str, list[tuple[float, float, float]]] = {}
     for case in cases:
-        lines.setdefault(case.line, []).append(two_known(case, networks))
-    lines["all"] = [found for line in lines.values() for found in line]
+        lines.setdefault(case.line, []).append(errors_with_two_loads(case, networks))
+    lines["all"] = [ratios for line in lines.values() for ratios in line]
     head = (
         "source, units",
         "cases",
@@ -133,13 +136,13 @@ def print_known(cases: list[Case], networks: Networks) -> None:
         "best gain and level, by the labels",
     )
     print_table(
-        head, ((line, len(found), *(float(m) for m in np.median(found, axis=0))) for line, found in lines.items())
+        head, ((line, len(ratios), *(float(m) for m in np.median(ratios, axis=0))) for line, ratios in lines.items())
     )
 
 
-def two_known(case: Case, networks: Networks) -> tuple[float, float, float]:
+def errors_with_two_loads(case: Case, networks: Networks) -> tuple[float, float, float]:
     """After / own with two known loads: the default, half way, and a line with the best gain and level."""
-    network, own = networks.of(case.source), networks.of(case.use)
+    network, own_network = networks.network_of(case.source), networks.network_of(case.use)
     loads = known_loads(case.use, 2) or Anchors(np.empty(0), np.empty(0))
     problem = FitProblem(case.source, network, case.unit, loads)
     maps = [choose_map(problem).unit_map]
@@ -147,13 +150,17 @@ def two_known(case: Case, networks: Networks) -> tuple[float, float, float]:
         maps.append(refine(problem, family(name).fit(problem), loads, "").unit_map)
     default, half, line = (one.apply(case.test.windows) for one in maps)
     span, middle = float(np.ptp(case.source.unlabelled.output)), float(np.median(line))
-    tried = (
+    errors = (
         score(network, middle + level * span + gain * (line - middle), case.test)
         for gain in np.linspace(0.8, 1.25, 16)
         for level in np.linspace(-0.1, 0.1, 13)
     )
-    floor = score(own, np.asarray(case.test.windows), case.test)
-    return score(network, default, case.test) / floor, score(network, half, case.test) / floor, min(tried) / floor
+    own_rmse = score(own_network, np.asarray(case.test.windows), case.test)
+    return (
+        score(network, default, case.test) / own_rmse,
+        score(network, half, case.test) / own_rmse,
+        min(errors) / own_rmse,
+    )
 
 
 def nearest_cases(every: int) -> dict[str, list[Case]]:
@@ -162,11 +169,11 @@ def nearest_cases(every: int) -> dict[str, list[Case]]:
     for case in insole_cases(every):
         if case.use.serial not in SOURCES:
             by_unit.setdefault((case.line.split(",")[0], case.use.serial), []).append(case)
-    found: dict[str, list[Case]] = {}
+    cases_by_name: dict[str, list[Case]] = {}
     for (day, _), cases in by_unit.items():
         best = min(cases, key=lambda case: shape_distance(case.source, case.unit, MapConfig()))
-        found.setdefault(day, []).append(best)
-    return found
+        cases_by_name.setdefault(day, []).append(best)
+    return cases_by_name
 
 
 def _cell(values: list[float]) -> str:
@@ -177,19 +184,19 @@ def _cell(values: list[float]) -> str:
 def ratios(case: Case, networks: Networks) -> dict[str, float]:
     """After / own of every method on one unit; kept beside the networks, so that a run that is broken off goes on."""
     key = content_sha256({}, {"case": [part.sha256 for part in (case.source, case.unit, case.use, case.test)]})
-    return networks.kept(key, lambda: measured(case, networks))
+    return networks.load_or_make(key, lambda: measured(case, networks))
 
 
 def measured(case: Case, networks: Networks) -> dict[str, float]:
     """After / own of every method on one unit."""
-    network, own = networks.of(case.source), networks.of(case.use)
+    network, own_network = networks.network_of(case.source), networks.network_of(case.use)
     problem = FitProblem(case.source, network, case.unit)
-    found = {name: rmse(METHODS[name](problem, case.test), case.test.window_reference) for name in METHOD_NAMES}
+    errors = {name: rmse(METHODS[name](problem, case.test), case.test.window_reference) for name in METHOD_NAMES}
     for count in LOADS:
         chosen = choose_map(replace(problem, anchors=known_loads(case.use, count)))
-        found[f"{count} known"] = score(network, chosen.unit_map.apply(case.test.windows), case.test)
-    floor = score(own, np.asarray(case.test.windows), case.test)
-    return {name: error / floor for name, error in found.items()}
+        errors[f"{count} known"] = score(network, chosen.unit_map.apply(case.test.windows), case.test)
+    own_rmse = score(own_network, np.asarray(case.test.windows), case.test)
+    return {name: error / own_rmse for name, error in errors.items()}
 
 
 def egain_cases(every: int) -> Iterator[Case]:
@@ -207,8 +214,8 @@ def egain_cases(every: int) -> Iterator[Case]:
 
 def skin_cases(every: int) -> Iterator[Case]:
     """Every place behind every other; the first 4,200 rows fit, the rest test."""
-    for source in PLACES:
-        for target in PLACES:
+    for source in POSITIONS:
+        for target in POSITIONS:
             if source != target:
                 whole = skin(target)
                 unit, test = whole.part(0, 4200), whole.part(4200, len(whole.reference))
@@ -219,13 +226,13 @@ def insole_cases(every: int) -> Iterator[Case]:
     """Maps fitted to one day's programme, tested on held-out stretches of the source's day; both ways."""
     for day, other in (DAYS, DAYS[::-1]):
         tested, fitted = insole(day), insole(other)
-        train, held = split(len(tested))
+        train, test_rows = split(len(tested))
         for source in SOURCES:
             for name in taxels(tested)[::every]:
                 if name != source:
-                    use, test = (taxel(tested, name, rows) for rows in (train, held))
+                    use_recording, test = (taxel(tested, name, rows) for rows in (train, test_rows))
                     line = f"insole {day}, source {source}"
-                    yield Case(line, taxel(tested, source, train), taxel(fitted, name).unlabelled, use, test)
+                    yield Case(line, taxel(tested, source, train), taxel(fitted, name).unlabelled, use_recording, test)
 
 
 SETS: dict[str, Callable[[int], Iterator[Case]]] = {"egain": egain_cases, "skin": skin_cases, "insole": insole_cases}

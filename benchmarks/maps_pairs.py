@@ -33,7 +33,7 @@ def main() -> None:
     options = parser.parse_args()
     day = insole("calibration")
     number = np.arange(len(day)) * STRETCHES // len(day) % 4
-    fitted, judged = (number == 1) | (number == 3), number == 0
+    fitted, is_test = (number == 1) | (number == 3), number == 0
     names = taxels(day)
     sources = [name for name in options.sources if name in names] or names[3:5]
     configs = variants()
@@ -42,7 +42,7 @@ def main() -> None:
         recording = taxel(day, source, fitted)
         network = fit_network(recording).network
         for name in [n for n in names if n != source][:: options.every]:
-            unit, test = taxel(day, name, fitted).unlabelled, taxel(day, name, judged)
+            unit, test = taxel(day, name, fitted).unlabelled, taxel(day, name, is_test)
             for label, config in configs:
                 problem = FitProblem(recording, network, unit, config=replace(MapConfig(), pairs=config))
                 estimate = network.evaluate(fit_synchronous(problem).apply(test.windows))
@@ -51,8 +51,8 @@ def main() -> None:
     pairs = f"Sources {', '.join(sources)}, {len(base)} pairs of source and unit"
     print(f"{pairs}; error over that of the numbers in force:\n")
     rows = [
-        (label, float(np.median(np.array(found) / base)), float(np.quantile(np.array(found) / base, 0.95)))
-        for label, found in errors.items()
+        (label, float(np.median(np.array(ratios) / base)), float(np.quantile(np.array(ratios) / base, 0.95)))
+        for label, ratios in errors.items()
     ]
     print_table(("numbers", "median", "95 %"), rows)
 

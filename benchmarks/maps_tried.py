@@ -36,7 +36,7 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 
 FAMILIES = ("identity", "affine", "two_point", "monotone", "averaged")
-KNOWN = ("before (no map)", "softcal default", "ot.da.EMDTransport")
+REFERENCE_METHODS = ("before (no map)", "softcal default", "ot.da.EMDTransport")
 COPIES, GAIN_SPREAD, LEVEL_SPREAD = 6, 0.25, 0.1
 """Copies of the source; spread of log gain; spread of the level over the source's span."""
 
@@ -46,7 +46,7 @@ MASS, MARGINAL = 0.9, 1.0
 ALIGNED = 600
 """Samples a side that are aligned."""
 
-Tried = Callable[[Case, FitProblem, Networks], Array]
+TrialMethod = Callable[[Case, FitProblem, Networks], Array]
 
 
 def weighted_families(case: Case, problem: FitProblem, networks: Networks) -> Array:
@@ -54,11 +54,13 @@ def weighted_families(case: Case, problem: FitProblem, networks: Networks) -> Ar
     for name in FAMILIES:
         method = replace(Method(), map=MapConfig(name))
         try:
-            found = calibrate(UnitProblem(make_source_model(case.source, problem.network, method=method), case.unit))
+            calibration = calibrate(
+                UnitProblem(make_source_model(case.source, problem.network, method=method), case.unit)
+            )
         except UnitRefused:
             continue
-        estimates.append(problem.network.evaluate(found.unit_map.apply(case.test.windows)))
-        weights.append(found.forecast.rmse**-2)
+        estimates.append(problem.network.evaluate(calibration.unit_map.apply(case.test.windows)))
+        weights.append(calibration.forecast.rmse**-2)
     return np.average(estimates, axis=0, weights=weights)
 
 
@@ -142,7 +144,7 @@ def drawn_network(case: Case, networks: Networks) -> FitProblem:
     once_s = one.unlabelled.t_s
     t_s = np.concatenate([once_s + k * (np.ptp(once_s) + 1.0) for k in range(COPIES + 1)])
     many = replace(one.unlabelled, t_s=t_s, output=copies, stage_mm=None)
-    network = networks.of(LabelledRecording(many, np.tile(one.reference, COPIES + 1), one.reference_unit))
+    network = networks.network_of(LabelledRecording(many, np.tile(one.reference, COPIES + 1), one.reference_unit))
     return FitProblem(case.source, network, case.unit)
 
 
@@ -151,11 +153,11 @@ def drawn_f(case: Case, problem: FitProblem, networks: Networks) -> Array:
 
 
 def drawn_f_and_map(case: Case, problem: FitProblem, networks: Networks) -> Array:
-    drawn = drawn_network(case, networks)
-    return drawn.network.evaluate(choose_map(drawn).unit_map.apply(case.test.windows))
+    network_drawn = drawn_network(case, networks)
+    return network_drawn.network.evaluate(choose_map(network_drawn).unit_map.apply(case.test.windows))
 
 
-TRIED: dict[str, Tried] = {
+TRIALS: dict[str, TrialMethod] = {
     "families weighted by forecast": weighted_families,
     "unbalanced transport": unbalanced,
     "partial transport": partial,
@@ -167,17 +169,17 @@ TRIED: dict[str, Tried] = {
 
 def ratios(case: Case, networks: Networks, names: Sequence[str]) -> dict[str, float]:
     """After / own of what was tried on one unit."""
-    problem = FitProblem(case.source, networks.of(case.source), case.unit)
-    estimates = {name: METHODS[name](problem, case.test) for name in KNOWN}
-    estimates |= {name: TRIED[name](case, problem, networks) for name in names}
-    own = rmse(networks.of(case.use).evaluate(case.test.windows), case.test.window_reference)
-    return {name: rmse(values, case.test.window_reference) / own for name, values in estimates.items()}
+    problem = FitProblem(case.source, networks.network_of(case.source), case.unit)
+    estimates = {name: METHODS[name](problem, case.test) for name in REFERENCE_METHODS}
+    estimates |= {name: TRIALS[name](case, problem, networks) for name in names}
+    own_rmse = rmse(networks.network_of(case.use).evaluate(case.test.windows), case.test.window_reference)
+    return {name: rmse(values, case.test.window_reference) / own_rmse for name, values in estimates.items()}
 
 
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("sets", nargs="*", default=list(SETS), choices=SETS)
-    parser.add_argument("--methods", nargs="+", default=list(TRIED), choices=TRIED, metavar="NAME", help="these only")
+    parser.add_argument("--methods", nargs="+", default=list(TRIALS), choices=TRIALS, metavar="NAME", help="these only")
     parser.add_argument("--every", type=int, default=8, metavar="N", help="every Nth taxel as a unit")
     parser.add_argument("--cache", type=Path, help="keep trained networks here")
     options = parser.parse_args()
@@ -189,10 +191,16 @@ def main() -> None:
             # Both ways and both days apart: what helps one of them may harm the other.
             of_set.setdefault(case.line.split(",")[0], []).append(ratios(case, networks, options.methods))
     print_table(
-        ("method", *(f"{name}, {len(found)} units" for name, found in of_set.items())),
+        ("method", *(f"{name}, {len(trial_ratios)} units" for name, trial_ratios in of_set.items())),
         (
-            (name, *("{:.2f} ({:.2f})".format(*summary(unit[name] for unit in found)) for found in of_set.values()))
-            for name in (*KNOWN, *options.methods)
+            (
+                name,
+                *(
+                    "{:.2f} ({:.2f})".format(*summary(unit[name] for unit in trial_ratios))
+                    for trial_ratios in of_set.values()
+                ),
+            )
+            for name in (*REFERENCE_METHODS, *options.methods)
         ),
     )
 

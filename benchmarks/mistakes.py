@@ -63,8 +63,8 @@ def table(name: str) -> pd.DataFrame:
 
 
 def trained(source: LabelledRecording) -> SourceModel:
-    found = fit_network(source, NETWORK)
-    return make_source_model(source, found.network, found.validation_rows, method=Method())
+    training = fit_network(source, NETWORK)
+    return make_source_model(source, training.network, training.validation_rows, method=Method())
 
 
 def egain(rng: Rng) -> Iterator[Unit]:
@@ -91,13 +91,13 @@ def insole(rng: Rng) -> Iterator[Unit]:
 
 
 def skin(rng: Rng) -> Iterator[Unit]:
-    places = {name: table(f"skin_places/{name}.parquet") for name in ("left", "middle", "right")}
-    for one in places:
-        source = trained(labelled(one, places[one]["output_V"], places[one]["force_N"], 50.0))
-        for other in places:
+    positions = {name: table(f"skin_places/{name}.parquet") for name in ("left", "middle", "right")}
+    for one in positions:
+        source = trained(labelled(one, positions[one]["output_V"], positions[one]["force_N"], 50.0))
+        for other in positions:
             for _ in range(5 if other != one else 0):
                 start = int(rng.integers(0, 3000))
-                part = places[other].iloc[start : start + 3500]
+                part = positions[other].iloc[start : start + 3500]
                 yield Unit("skin", source, labelled(other, part["output_V"], part["force_N"], 50.0))
 
 
@@ -174,17 +174,21 @@ MISTAKES = {
 }
 
 
-def judged(unit: Unit, recording: OutputRecording) -> tuple[str, set[str], float]:
+def calibrate_unit(unit: Unit, recording: OutputRecording) -> tuple[str, set[str], float]:
     """Return the word, what was found, and the true error over the forecast; NaN where there is no truth."""
     try:
-        made = calibrate(UnitProblem(unit.model, recording))
+        calibration = calibrate(UnitProblem(unit.model, recording))
     except UnitRefused as error:
         return "refused", {error.reason.code.replace("_", " ")}, np.nan
-    found = {finding.kind for finding in made.fit.findings}
+    kinds = {finding.kind for finding in calibration.fit.findings}
     if np.ptp(unit.recording.reference) == 0 or len(recording) != len(unit.recording):
-        return str(made.decision.verdict), found, np.nan
-    estimate = unit.model.network.evaluate(made.unit_map.apply(recording.windows))
-    return str(made.decision.verdict), found, rmse(estimate, unit.recording.window_reference) / made.predicted_rmse
+        return str(calibration.decision.verdict), kinds, np.nan
+    estimate = unit.model.network.evaluate(calibration.unit_map.apply(recording.windows))
+    return (
+        str(calibration.decision.verdict),
+        kinds,
+        rmse(estimate, unit.recording.window_reference) / calibration.predicted_rmse,
+    )
 
 
 def main() -> int:
@@ -200,35 +204,35 @@ def main() -> int:
         by_kind[unit.kind].append(unit)
     refused, small, good = Counter[str](), 0, Counter[str]()
     for unit in units:
-        word, found, ratio = judged(unit, unit.recording.unlabelled)
+        word, kinds, ratio = calibrate_unit(unit, unit.recording.unlabelled)
         good[unit.kind] += 1
-        refused[unit.kind] += bool(found & CONTRADICTED)
+        refused[unit.kind] += bool(kinds & CONTRADICTED)
         small += word in ("pass", "conditional") and ratio > TOO_SMALL
-    drawn, caught = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
+    trials, caught = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
     names = list(MISTAKES)
     for number in range(10 * options.draws):
-        if drawn.total() == options.draws:
+        if trials.total() == options.draws:
             break
         name, kind = names[number % len(names)], str(rng.choice(list(by_kind)))
         unit = by_kind[kind][int(rng.integers(len(by_kind[kind])))]
         recording = MISTAKES[name](unit, units, rng)
         if recording is None:
             continue
-        word, found, ratio = judged(unit, recording)
-        drawn[name, kind] += 1
+        word, kinds, ratio = calibrate_unit(unit, recording)
+        trials[name, kind] += 1
         caught[name, kind] += word not in ("pass", "conditional")
         small += word in ("pass", "conditional") and ratio > TOO_SMALL
         if word in ("pass", "conditional"):
             print(
-                f"  missed: {name} on {kind} {recording.serial}: {word}, {sorted(found)}, error / forecast {ratio:.2g}"
+                f"  missed: {name} on {kind} {recording.serial}: {word}, {sorted(kinds)}, error / forecast {ratio:.2g}"
             )
-    rows = [(name, *(f"{caught[name, kind]}/{drawn[name, kind]}" for kind in by_kind)) for name in names]
+    rows = [(name, *(f"{caught[name, kind]}/{trials[name, kind]}" for kind in by_kind)) for name in names]
     print_table(
         ("mistake", *by_kind), [*rows, ("good units refused", *(f"{refused[kind]}/{good[kind]}" for kind in by_kind))]
     )
-    share, lost = caught.total() / drawn.total(), refused.total() / good.total()
+    share, lost = caught.total() / trials.total(), refused.total() / good.total()
     print(
-        f"caught {share:.1%} of {drawn.total()}, good units refused {lost:.2%} of {good.total()}, five times: {small}"
+        f"caught {share:.1%} of {trials.total()}, good units refused {lost:.2%} of {good.total()}, five times: {small}"
     )
     return int(share < CAUGHT or lost > REFUSED_GOOD or small > 0)
 

@@ -37,7 +37,7 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 PUBLIC = ROOT / "app/public"
-ROOMS = {
+PACKAGES = {
     "core/unit": "core/unit/*.py",
     "core/maps": "core/maps/*.py",
     "core/gap": "core/gap/*.py",
@@ -59,7 +59,7 @@ LOGIC = {ast.And: ast.Or, ast.Or: ast.And}
 class Mutant:
     """One fault: where it stands and what the file says then."""
 
-    room: str
+    package: str
     path: str
     line: int
     column: int
@@ -72,26 +72,26 @@ class Mutant:
 
 
 @dataclass(frozen=True)
-class Place:
+class MutationPoint:
     """Where a fault can be made, and what would stand there."""
 
     path: Path
     node: ast.expr
     changed: ast.expr
 
-    def mutant(self, room: str) -> Mutant:
+    def mutant(self, package: str) -> Mutant:
         was = ast.get_source_segment(self.path.read_text("utf-8"), self.node) or ""
         path, text = self.path.relative_to(ROOT).as_posix(), f"({ast.unparse(self.changed)})"
-        return Mutant(room, path, self.node.lineno, self.node.col_offset, was, text)
+        return Mutant(package, path, self.node.lineno, self.node.col_offset, was, text)
 
 
-def places_of(path: Path) -> Iterator[Place]:
+def points_of(path: Path) -> Iterator[MutationPoint]:
     """Yield every fault that can be made in a file."""
     tree = ast.parse(path.read_text("utf-8"))
     skipped = {id(inner) for node in ast.walk(tree) for quiet in _quiet(node) for inner in ast.walk(quiet)}
     for node in ast.walk(tree):
         if id(node) not in skipped and isinstance(node, ast.expr):
-            yield from (Place(path, node, changed) for changed in _changes(node))
+            yield from (MutationPoint(path, node, changed) for changed in _changes(node))
 
 
 def _quiet(node: ast.AST) -> Iterator[ast.AST]:
@@ -125,14 +125,14 @@ def _changes(node: ast.expr) -> Iterator[ast.expr]:
         yield ast.Constant(1.5 * node.value if node.value else 1.0)
 
 
-def drawn(count: int, seed: int) -> list[Mutant]:
+def draw_mutants(count: int, seed: int) -> list[Mutant]:
     """Return so many faults, as many of every room as of the others."""
     rng = random.Random(seed)
     chosen: list[Mutant] = []
-    for k, (room, pattern) in enumerate(ROOMS.items()):
-        every = [place for path in sorted(ROOT.glob(pattern)) for place in places_of(path)]
-        share = count * (k + 1) // len(ROOMS) - count * k // len(ROOMS)
-        chosen += [place.mutant(room) for place in rng.sample(every, share)]
+    for k, (package, pattern) in enumerate(PACKAGES.items()):
+        every = [location for path in sorted(ROOT.glob(pattern)) for location in points_of(path)]
+        share = count * (k + 1) // len(PACKAGES) - count * k // len(PACKAGES)
+        chosen += [location.mutant(package) for location in rng.sample(every, share)]
     return chosen
 
 
@@ -182,15 +182,15 @@ def pytest_unconfigure(config):
 """
 
 
-def make_map(keep: Path) -> None:
+def make_map(out_folder: Path) -> None:
     """Run the fast layer under coverage and keep which test runs which line."""
-    place = keep / "fast"
-    shutil.rmtree(place, ignore_errors=True)
-    place.mkdir(parents=True)
-    (place / "recorder.py").write_text(RECORDER)
+    database = out_folder / "fast"
+    shutil.rmtree(database, ignore_errors=True)
+    database.mkdir(parents=True)
+    (database / "recorder.py").write_text(RECORDER)
     source = json.dumps([str(ROOT / folder) for folder in ("core", "db", "station", "app")])
     environment = os.environ | {
-        "MUTANTS_MAP": str(place), "MUTANTS_SOURCE": source, "PYTHONPATH": str(place), "COVERAGE_CORE": "ctrace",
+        "MUTANTS_MAP": str(database), "MUTANTS_SOURCE": source, "PYTHONPATH": str(database), "COVERAGE_CORE": "ctrace",
     }  # fmt: skip
     command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-m", LAYERS["fast"]]
     subprocess.run([*command, "-p", "recorder", "--timeout", "3000"], cwd=ROOT, env=environment, check=False)
@@ -199,16 +199,16 @@ def make_map(keep: Path) -> None:
 class LineMap:
     """Which fast tests run a line, the nearest and quickest first."""
 
-    def __init__(self, place: Path) -> None:
+    def __init__(self, database: Path) -> None:
         import coverage
 
         self.seconds: dict[str, float] = {}
-        for row in (place / "seconds.tsv").read_text().splitlines():
+        for row in (database / "seconds.tsv").read_text().splitlines():
             name, seconds, outcome = row.split("\t")
             if outcome == "passed":
                 self.seconds[name] = float(seconds)
         self._data = []
-        for path in sorted(place.glob("coverage.*")):
+        for path in sorted(database.glob("coverage.*")):
             data = coverage.CoverageData(str(path))
             data.read()
             self._data.append(data)
@@ -224,9 +224,9 @@ class LineMap:
                     table.setdefault(line, set()).update(contexts)
             self._of_file[mutant.path] = table
         table = self._of_file[mutant.path]
-        found = {name for name in table.get(mutant.line, set()) if name in self.seconds}
-        found = found or {name for names in table.values() for name in names if name in self.seconds}
-        return sorted(found, key=lambda name: (self._distance(name, mutant.path), self.seconds[name]))
+        tests_of_line = {name for name in table.get(mutant.line, set()) if name in self.seconds}
+        tests_of_line = tests_of_line or {name for names in table.values() for name in names if name in self.seconds}
+        return sorted(tests_of_line, key=lambda name: (self._distance(name, mutant.path), self.seconds[name]))
 
     def _distance(self, name: str, path: str) -> int:
         """Return 0 where the test file names the module, 1 where it lies in its folder, else 2."""
@@ -240,8 +240,8 @@ class NamedTests:
     """Which long tests are about a module: those whose file names it most, then those whose own name shares words."""
 
     def __init__(self) -> None:
-        asked = ["-q", "--collect-only", "-m", LAYERS["long"], "-p", "no:cacheprovider"]
-        listed = [sys.executable, "-m", "pytest", *asked]
+        arguments = ["-q", "--collect-only", "-m", LAYERS["long"], "-p", "no:cacheprovider"]
+        listed = [sys.executable, "-m", "pytest", *arguments]
         printed = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
         self._of_file: dict[str, list[str]] = {}
         for name in printed.splitlines():
@@ -256,11 +256,11 @@ class NamedTests:
         tree = ast.parse((ROOT / mutant.path).read_text("utf-8"))
         kinds = (ast.FunctionDef, ast.ClassDef)
         public = [n.name for n in ast.walk(tree) if isinstance(n, kinds) and not n.name.startswith("_")]
-        named = re.compile(rf"\b(?:{'|'.join(map(re.escape, [module_of(mutant.path), *public]))})\b")
-        words = set(re.split(r"[/_.]", mutant.path))
+        pattern = re.compile(rf"\b(?:{'|'.join(map(re.escape, [module_of(mutant.path), *public]))})\b")
+        path_parts = set(re.split(r"[/_.]", mutant.path))
         files = []
         for file, text in self._texts.items():
-            hits = len(named.findall(text)), len(words & set(re.split(r"[/_.]", file)) - {"py"})
+            hits = len(pattern.findall(text)), len(path_parts & set(re.split(r"[/_.]", file)) - {"py"})
             if hits[0] or hits[1]:
                 files.append((hits, file))
         return [name for _, file in sorted(files, reverse=True) for name in self._of_file[file]]
@@ -272,7 +272,7 @@ def module_of(path: str) -> str:
 
 # Break, test, count.
 
-TRIED = "tried.jsonl"
+RESULTS_FILE = "tried.jsonl"
 
 
 class Tree:
@@ -304,17 +304,17 @@ class Tree:
     def notices(self, mutant: Mutant, tests: Sequence[str], longest_s: float) -> tuple[str, float]:
         """Return the first test that fails with the fault and not without it, "" for none, and the seconds it took."""
         path, began_s = self.root / mutant.path, time.monotonic()
-        whole, left = path.read_text("utf-8"), list(tests)
-        while left:
+        whole, remaining_tests = path.read_text("utf-8"), list(tests)
+        while remaining_tests:
             self._write(path, broken(mutant))
-            failed = self.first_failure(left, longest_s)
+            failed = self.first_failure(remaining_tests, longest_s)
             self._write(path, whole)
-            is_known = failed not in left or failed in self._sure
-            if is_known or not self.first_failure([failed], longest_s):
+            is_expected = failed not in remaining_tests or failed in self._sure
+            if is_expected or not self.first_failure([failed], longest_s):
                 # A test passes without the fault once and for all.
                 self._sure.add(failed)
                 return failed, round(time.monotonic() - began_s, 1)
-            left.remove(failed)
+            remaining_tests.remove(failed)
         return "", round(time.monotonic() - began_s, 1)
 
     def _write(self, path: Path, text: str) -> None:
@@ -325,12 +325,12 @@ class Tree:
 
     def first_failure(self, tests: Sequence[str], longest_s: float) -> str:
         """Return the first test that fails, "" for none within so many seconds of the processor."""
-        printed, used_s = self.folder / "printed.txt", FORKED.Value("d", 0.0)
+        printed, cpu_s = self.folder / "printed.txt", FORKED.Value("d", 0.0)
         for batch in _batches(tests, self._seconds):
-            left_s = longest_s - used_s.value
+            left_s = longest_s - cpu_s.value
             if left_s < 1.0:
                 return ""
-            child = FORKED.Process(target=run_tests, args=(self.root, self.environment, batch, left_s, printed, used_s))
+            child = FORKED.Process(target=run_tests, args=(self.root, self.environment, batch, left_s, printed, cpu_s))
             child.start()
             child.join(40 * longest_s)
             if child.exitcode != 0:
@@ -353,7 +353,7 @@ PRELOADED = (
 
 
 def run_tests(
-    root: Path, environment: dict[str, str], tests: Sequence[str], longest_s: float, printed: Path, used_s: Any
+    root: Path, environment: dict[str, str], tests: Sequence[str], longest_s: float, printed: Path, cpu_s: Any
 ) -> None:
     """Run tests in a copy of the tree, as a process of its own behind other work; add the processor's seconds it took.
 
@@ -375,36 +375,36 @@ def run_tests(
     os.dup2(file.fileno(), 2)
     quiet = ["-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
     code = pytest.main(["-q", "-x", *quiet, "--timeout", f"{40 * longest_s:.0f}", *tests])
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    used_s.value += sum(one.ru_utime + one.ru_stime for one in used)
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    cpu_s.value += sum(one.ru_utime + one.ru_stime for one in usages)
     sys.exit(int(code))
 
 
 def _batches(tests: Sequence[str], seconds: Mapping[str, float]) -> Iterator[Sequence[str]]:
     """Yield tests in pieces of three times the length: most faults are noticed before the long tests are read."""
     batch: list[str] = []
-    room_s = 3.0
+    margin_s = 3.0
     for name in tests:
-        if batch and sum(seconds[one] for one in batch) + seconds[name] > room_s:
+        if batch and sum(seconds[one] for one in batch) + seconds[name] > margin_s:
             yield batch
-            batch, room_s = [], 3.0 * room_s
+            batch, margin_s = [], 3.0 * margin_s
         batch.append(name)
     yield batch
 
 
-def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float, most: int | None) -> None:
+def try_all(mutants: Sequence[Mutant], layer: str, folder: Path, longest_s: float, max_count: int | None) -> None:
     """Try faults that no layer has noticed and this one has not tried; append a line each to the file kept.
 
     Args:
         most: so many, drawn; None: all.
     """
-    rows = [json.loads(line) for line in _lines(keep / TRIED)]
-    done = {row["mutant"] for row in rows if row["test"] or row["layer"] == layer}
-    left = [mutant for mutant in mutants if mutant.name not in done]
+    rows = [json.loads(line) for line in _lines(folder / RESULTS_FILE)]
+    finished = {row["mutant"] for row in rows if row["test"] or row["layer"] == layer}
+    remaining = [mutant for mutant in mutants if mutant.name not in finished]
     # All rooms at once: where it is stopped early, every room has been tried alike.
-    random.Random(0).shuffle(left)
-    left = left[:most]
-    chosen = LineMap(keep / layer) if layer == "fast" else NamedTests()
+    random.Random(0).shuffle(remaining)
+    remaining = remaining[:max_count]
+    chosen = LineMap(folder / layer) if layer == "fast" else NamedTests()
     trees = [Tree(chosen.seconds), Tree(chosen.seconds)]
 
     for tree in trees:
@@ -413,11 +413,11 @@ def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float,
             raise RuntimeError(f"{failed} fails without a fault; {tree.folder}/printed.txt says why")
 
     def work(which: int) -> None:
-        for mutant in left[which :: len(trees)]:
+        for mutant in remaining[which :: len(trees)]:
             tests = chosen.tests(mutant)
             test, seconds = trees[which].notices(mutant, tests, longest_s) if tests else ("", 0.0)
-            row = {"mutant": mutant.name, "room": mutant.room, "layer": layer, "test": test, "seconds": seconds}
-            with (keep / TRIED).open("a") as file:
+            row = {"mutant": mutant.name, "room": mutant.package, "layer": layer, "test": test, "seconds": seconds}
+            with (folder / RESULTS_FILE).open("a") as file:
                 file.write(json.dumps(row | {"tests": len(tests)}) + "\n")
 
     with ThreadPoolExecutor(len(trees)) as pool:
@@ -430,19 +430,22 @@ def _lines(path: Path) -> list[str]:
     return path.read_text().splitlines() if path.exists() else []
 
 
-def print_table(mutants: Sequence[Mutant], keep: Path) -> None:
+def print_table(mutants: Sequence[Mutant], folder: Path) -> None:
     """Print how many faults of each room were noticed, and by which layer."""
-    rows = [json.loads(line) for line in _lines(keep / TRIED)]
+    rows = [json.loads(line) for line in _lines(folder / RESULTS_FILE)]
     noticed = {row["mutant"]: row["layer"] for row in rows if row["test"]}
     by_long = {row["mutant"]: bool(row["test"]) for row in rows if row["layer"] == "long"}
-    room_of = {row["mutant"]: row["room"] for row in rows}
-    mine = [mutant.name for mutant in mutants if mutant.name in room_of]
+    package_of = {row["mutant"]: row["room"] for row in rows}
+    mine = [mutant.name for mutant in mutants if mutant.name in package_of]
     print("| room | tried | noticed by the fast layer | of the others tried with the long one | noticed by it |")
     print("|---|---|---|---|---|")
-    for room in [*ROOMS, "all"]:
-        of_room = [name for name in mine if room in (room_of[name], "all")]
-        fast, long = [noticed.get(name) == "fast" for name in of_room], [by_long[n] for n in of_room if n in by_long]
-        print(f"| {room} | {len(fast)} | {sum(fast)} | {len(long)} | {sum(long)} |")
+    for package in [*PACKAGES, "all"]:
+        of_package = [name for name in mine if package in (package_of[name], "all")]
+        fast, long = (
+            [noticed.get(name) == "fast" for name in of_package],
+            [by_long[n] for n in of_package if n in by_long],
+        )
+        print(f"| {package} | {len(fast)} | {sum(fast)} | {len(long)} | {sum(long)} |")
     if by_long:
         from softcal.core.metrics import wilson
 
@@ -473,7 +476,7 @@ def main() -> None:
         make_map(options.keep)
         return
     FORKED.set_forkserver_preload(list(PRELOADED))
-    mutants = drawn(options.count, options.seed)
+    mutants = draw_mutants(options.count, options.seed)
     if options.what == "try":
         try_all(mutants, options.layer, options.keep, options.longest, options.most)
     print_table(mutants, options.keep)

@@ -59,7 +59,7 @@ HOSTS, PRESS_ROWS, UNIT_EVERY_S = 8, 7800, 42.0
 KILLED = ("writer", "batch", "station")
 
 Acknowledge = Callable[[str], None]
-Written = list[tuple[str, int, float]]
+WriteLog = list[tuple[str, int, float]]
 Row = tuple[object, ...]
 
 
@@ -115,8 +115,8 @@ def cpu_s(*arguments: str, runs: int) -> float:
 
 def _of_children_s() -> float:
     # Not os.times: it counts hundredths of a second, a tenth of what `--help` takes.
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def list_(options: argparse.Namespace) -> None:
@@ -198,10 +198,10 @@ def start_together(barrier: Barrier) -> None:
     _together = barrier
 
 
-def write(arguments: tuple[str, str, int, float]) -> tuple[Written, list[str]]:
+def write(arguments: tuple[str, str, int, float]) -> tuple[WriteLog, list[str]]:
     """Write for some seconds; return what was acknowledged with its latency, and the errors."""
     url, network_id, writer, seconds = arguments
-    written: Written = []
+    writes: WriteLog = []
     errors: list[str] = []
     serial = "SHARED" if writer % 2 else f"OWN{writer}"
     with open_registry(url, create=False) as registry:
@@ -210,13 +210,13 @@ def write(arguments: tuple[str, str, int, float]) -> tuple[Written, list[str]]:
         for number in range(10_000_000):
             start_s = time.perf_counter()
             if start_s >= until_s:
-                return written, errors
+                return writes, errors
             try:
                 revision = registry.calibrations.add("bench", state(serial, writer * 1_000_000 + number, network_id))
-                written.append((serial, revision, time.perf_counter() - start_s))
+                writes.append((serial, revision, time.perf_counter() - start_s))
             except Exception as error:
                 errors.append(str(error))
-    return written, errors
+    return writes, errors
 
 
 def written_by(kind: str, writers: int, seconds: float) -> Row:
@@ -227,17 +227,17 @@ def written_by(kind: str, writers: int, seconds: float) -> Row:
         context = multiprocessing.get_context("spawn")
         with context.Pool(writers, start_together, (context.Barrier(writers),)) as pool:
             answers = pool.map(write, [(url, network_id, k, seconds) for k in range(writers)], chunksize=1)
-        acknowledged = [(serial, revision) for written, _ in answers for serial, revision, _ in written]
-        latencies_ms = 1e3 * np.array([latency for written, _ in answers for *_, latency in written])
+        acknowledged = [(serial, revision) for writes, _ in answers for serial, revision, _ in writes]
+        latencies_ms = 1e3 * np.array([latency for writes, _ in answers for *_, latency in writes])
         errors = [error for _, failed in answers for error in failed]
         with open_registry(url, create=False) as registry:
-            kept = {
+            stored = {
                 (s, c.revision)
                 for s in {serial for serial, _ in acknowledged}
                 for c in registry.calibrations.history(s)
             }
             faults = registry.verify()
-    lost = len(acknowledged) - len(set(acknowledged) & kept)
+    lost = len(acknowledged) - len(set(acknowledged) & stored)
     median, high, worst = np.percentile(latencies_ms, [50, 99, 100])
     count = len(acknowledged)
     speed = count / seconds
@@ -261,16 +261,18 @@ def serve_some(arguments: tuple[str, str, list[int], float]) -> tuple[list[float
     url, network_id, stations, seconds = arguments
     rng = np.random.default_rng(stations[0])
     t_s = np.arange(PRESS_ROWS) / RATE_HZ
-    unit_s, beats = list[float](), {station: list[float]() for station in stations}
+    unit_s, heartbeat_times = list[float](), {station: list[float]() for station in stations}
     next_s = {station: float(rng.uniform(0.0, UNIT_EVERY_S)) for station in stations}
     with open_registry(url, create=False) as registry:
         _together.wait()
         start_s = time.perf_counter()
         while (now_s := time.perf_counter() - start_s) < seconds:
             for station in stations:
-                beat = Heartbeat(f"line-{station}", StationState.READY, datetime.now(UTC), process=f"host:{station}")
-                registry.order_queue.beat(beat)
-                beats[station].append(time.perf_counter() - start_s)
+                heartbeat = Heartbeat(
+                    f"line-{station}", StationState.READY, datetime.now(UTC), process=f"host:{station}"
+                )
+                registry.order_queue.write_heartbeat(heartbeat)
+                heartbeat_times[station].append(time.perf_counter() - start_s)
                 if now_s >= next_s[station]:
                     next_s[station] += UNIT_EVERY_S
                     began_s, serial = time.perf_counter(), f"{station}-{len(unit_s)}"
@@ -279,7 +281,7 @@ def serve_some(arguments: tuple[str, str, list[int], float]) -> tuple[list[float
                     registry.calibrations.add("bench", state(serial, station * 1_000_000 + len(unit_s), network_id))
                     unit_s.append(time.perf_counter() - began_s)
             time.sleep(max(0.0, 1.0 - (time.perf_counter() - start_s - now_s)))
-    return unit_s, beats
+    return unit_s, heartbeat_times
 
 
 def served_by_many(kind: str, stations: int, seconds: float) -> Row:
@@ -293,10 +295,10 @@ def served_by_many(kind: str, stations: int, seconds: float) -> Row:
             answers = pool.map(serve_some, [(url, network_id, some, seconds) for some in hosts], chunksize=1)
         size_kB = Path(str(make_url(url).database)).stat().st_size / 1024 if kind == "SQLite" else math.nan
     unit_ms = 1e3 * np.array([one for units, _ in answers for one in units])
-    beats = [times for _, some in answers for times in some.values()]
-    silence_s = max(float(np.max(np.diff([0.0, *times, seconds]))) for times in beats)
+    heartbeat_times = [times for _, some in answers for times in some.values()]
+    silence_s = max(float(np.max(np.diff([0.0, *times, seconds]))) for times in heartbeat_times)
     numbers = map(float, np.percentile(unit_ms, [50, 99, 100]))
-    per_h, per_s = 3600.0 * len(unit_ms) / seconds, sum(map(len, beats)) / seconds
+    per_h, per_s = 3600.0 * len(unit_ms) / seconds, sum(map(len, heartbeat_times)) / seconds
     of_unit = f"{size_kB / len(unit_ms):.0f}" if math.isfinite(size_kB) else "–"
     return (database_of(kind), stations, seconds, len(unit_ms), per_h, *numbers, per_s, silence_s, of_unit)
 
@@ -374,9 +376,9 @@ def kill_writers(kind: str, kills: int, moments: random.Random) -> Row:
             start = turn * 1_000_000
             acknowledged |= set(killed(partial(write_forever, url, network_id, start), moments, 0.4))
         with open_registry(url, create=False) as registry:
-            trail, kept, faults = registry.trail.rows(), revisions(registry), registry.verify()
+            trail, stored, faults = registry.trail.rows(), revisions(registry), registry.verify()
     halves = sum(row.action == "calibrate" for row in trail) - sum(row.action == "export" for row in trail)
-    return "writer", kind, kills, len(acknowledged), len(acknowledged - set(kept)), halves, 0, len(faults)
+    return "writer", kind, kills, len(acknowledged), len(acknowledged - set(stored)), halves, 0, len(faults)
 
 
 def revisions(registry: Registry) -> list[str]:
@@ -389,11 +391,11 @@ def revisions(registry: Registry) -> list[str]:
 def batch(url: str, folder: LotFolder, acknowledge: Acknowledge) -> None:
     """Run a batch and tell every unit that was kept."""
 
-    def tell(unit: UnitResult) -> None:
+    def print_unit(unit: UnitResult) -> None:
         acknowledge(f"{unit.serial} {unit.calibration.revision}" if unit.calibration else f"{unit.serial} refused")
 
     with open_registry(url, create=False) as registry:
-        run_batch(folder, registry, BatchConfig(network=NETWORK), Callbacks(on_unit=tell))
+        run_batch(folder, registry, BatchConfig(network=NETWORK), Callbacks(on_unit=print_unit))
 
 
 def kill_batches(kind: str, kills: int, moments: random.Random) -> Row:
@@ -407,12 +409,12 @@ def kill_batches(kind: str, kills: int, moments: random.Random) -> Row:
             acknowledged += killed(lambda tell: batch(url, folder, tell), moments, 0.6)
         batch(url, folder, acknowledged.append)
         with open_registry(url, create=False) as registry:
-            kept, faults = revisions(registry), registry.verify()
+            stored, faults = revisions(registry), registry.verify()
             entries = registry.lots.units(folder.lot.id)
     refused = [f"{unit.serial} refused" for unit in entries if unit.verdict and unit.revision is None]
-    lost = set(acknowledged) - set(kept) - set(refused)
+    lost = set(acknowledged) - set(stored) - set(refused)
     unfinished = len(folder.unit_paths) - sum(unit.role == "target" and unit.verdict is not None for unit in entries)
-    twice = sum(not line.endswith(" 1") for line in kept) + len(acknowledged) - len(set(acknowledged))
+    twice = sum(not line.endswith(" 1") for line in stored) + len(acknowledged) - len(set(acknowledged))
     return "batch", kind, kills, len(acknowledged), len(lost), unfinished, twice, len(faults)
 
 

@@ -81,7 +81,7 @@ def make(path: Path, units: int = UNITS) -> None:
         registry.work_queue.enqueue(WorkSet("bench", "a" * 64), {f"U{k:03d}": "b" * 64 for k in range(units)})
         registry.order_queue.place(Order("o1", "s1", OrderKind.UNIT, "U001", "bench", "kim", "", datetime.now(UTC)))
         registry.job_board.place("gap", {"case": 1}, "kim")
-        registry.line_places.write("s1", 0, {"serial": "U001"})
+        registry.line_sessions.write("s1", 0, {"serial": "U001"})
     # Free pages are a kind of their own.
     with contextlib.closing(sqlite3.connect(path)) as raw:
         raw.executescript("CREATE TABLE gone (x); INSERT INTO gone VALUES (zeroblob(20000)); DROP TABLE gone;")
@@ -90,7 +90,7 @@ def make(path: Path, units: int = UNITS) -> None:
 
 def answers(registry: Registry) -> object:
     """Return all that people are told: of each unit its map in use and history, limits, rules, networks, people."""
-    told: list[object] = [
+    answers_given: list[object] = [
         registry.lots.units(),
         registry.lots.all(),
         registry.lots.limit_versions("bench"),
@@ -101,20 +101,20 @@ def answers(registry: Registry) -> object:
             try:
                 stored = ask(unit.serial)
             except (InputError, IndexError) as error:
-                told.append(str(error))
+                answers_given.append(str(error))
                 continue
             fit = fit_to_json(stored.state.fit)
             arrays = {name: array.tobytes() for name, array in fit.arrays.items()}
             content = (fit.content, adjustments_to_json(stored.state), arrays)
-            told.append((stored.revision, stored.origin, stored.is_current, content))
+            answers_given.append((stored.revision, stored.origin, stored.is_current, content))
     for network in registry.networks.all():
-        told.append({name: a.tobytes() for name, a in registry.networks.get(network.id).arrays().items()})
-    told += [
+        answers_given.append({name: a.tobytes() for name, a in registry.networks.get(network.id).arrays().items()})
+    answers_given += [
         registry.networks.states("bench"),
         registry.lots.line_rules_versions("bench"),
         registry.stations.golden_runs(),
     ]
-    return [*told, registry.stations.certificates("C1"), registry.adaptations.all(UnitKey("bench", "U001"))]
+    return [*answers_given, registry.stations.certificates("C1"), registry.adaptations.all(UnitKey("bench", "U001"))]
 
 
 def whole(registry: Registry) -> bool:
@@ -131,14 +131,14 @@ def pages_by_kind(path: Path) -> dict[str, list[tuple[int, int]]]:
     size = int.from_bytes(content[16:18], "big")
     with contextlib.closing(sqlite3.connect(path)) as raw:
         in_use = {number: kind for number, kind in raw.execute("SELECT pageno, pagetype FROM dbstat")}
-    found: dict[str, list[tuple[int, int]]] = {"header": [(0, HEADER_BYTES)]}
+    ranges: dict[str, list[tuple[int, int]]] = {"header": [(0, HEADER_BYTES)]}
     for number in range(1, len(content) // size + 1):
         start = (number - 1) * size
         first = content[start + (HEADER_BYTES if number == 1 else 0)]
         kind = in_use.get(number, "free")
         name = KINDS.get(first, "?") if kind in ("leaf", "internal") else kind
-        found.setdefault(name, []).append((start + (HEADER_BYTES if number == 1 else 0), start + size))
-    return found
+        ranges.setdefault(name, []).append((start + (HEADER_BYTES if number == 1 else 0), start + size))
+    return ranges
 
 
 def verdict_of_flip(copy: Path, true: object) -> str:
@@ -146,7 +146,7 @@ def verdict_of_flip(copy: Path, true: object) -> str:
     url = f"sqlite:///{copy}"
     try:
         with open_registry(url, create=False) as registry:
-            told = answers(registry)
+            answers_given = answers(registry)
     except SoftcalError:
         return "told at use"
     except Exception as error:
@@ -157,7 +157,7 @@ def verdict_of_flip(copy: Path, true: object) -> str:
             is_whole = whole(registry)
     except SoftcalError:
         is_whole = False
-    if told != true:
+    if answers_given != true:
         # Whoever verifies hears of it; whoever only asks does not, and that is what must not be.
         return "silent"
     return "without effect" if is_whole else "found by verify"
@@ -172,16 +172,16 @@ def flips(path: Path, folder: Path, count: int, seed: int) -> Iterator[tuple[obj
             raise SystemExit("the registry was not whole before")
     kinds = pages_by_kind(path)
     for kind, pages in sorted(kinds.items()):
-        found: Counter[str] = Counter()
+        outcomes: Counter[str] = Counter()
         for _ in range(max(1, count // len(kinds))):
             start, stop = rng.choice(pages)
             flipped = bytearray(content)
             flipped[rng.randrange(start, stop)] ^= 1 << rng.randrange(8)
             copy.write_bytes(flipped)
-            found[verdict_of_flip(copy, true)] += 1
-            for beside in ("-wal", "-shm"):
-                copy.with_name(copy.name + beside).unlink(missing_ok=True)
-        yield kind, sum(found.values()), *(found[name] for name in FLIPS[2:])
+            outcomes[verdict_of_flip(copy, true)] += 1
+            for suffix in ("-wal", "-shm"):
+                copy.with_name(copy.name + suffix).unlink(missing_ok=True)
+        yield kind, sum(outcomes.values()), *(outcomes[name] for name in FLIPS[2:])
 
 
 def an_edit(rng: random.Random, raw: sqlite3.Connection, table: str) -> tuple[str, int]:
@@ -196,13 +196,13 @@ def an_edit(rng: random.Random, raw: sqlite3.Connection, table: str) -> tuple[st
     if what == 1:
         # A row like it under another key: somebody puts in what was never decided.
         key = metadata.tables[table].primary_key.columns
-        shown = ", ".join(
+        assignments = ", ".join(
             (f"\"{c}\" || 'x'" if metadata.tables[table].c[c].type.python_type is str else f'"{c}" + 17')
             if c in key else f'"{c}"' for c in columns
         )  # fmt: skip
-        named = ", ".join(f'"{c}"' for c in columns)
+        column_list = ", ".join(f'"{c}"' for c in columns)
         return "", raw.execute(
-            f"INSERT INTO {table} ({named}) SELECT {shown} FROM {table} WHERE rowid = ?", (row,)
+            f"INSERT INTO {table} ({column_list}) SELECT {assignments} FROM {table} WHERE rowid = ?", (row,)
         ).rowcount
     (old,) = raw.execute(f'SELECT "{column}" FROM {table} WHERE rowid = ?', (row,)).fetchone()
     other = [value for (value,) in raw.execute(f'SELECT DISTINCT "{column}" FROM {table}') if value != old]
@@ -229,7 +229,7 @@ def edits(path: Path, folder: Path, count: int, seed: int) -> Iterator[tuple[obj
     with contextlib.closing(sqlite3.connect(path)) as raw:
         filled = [t.name for t in metadata.sorted_tables if raw.execute(f"SELECT 1 FROM {t.name} LIMIT 1").fetchone()]
     for table in filled:
-        found: Counter[str] = Counter()
+        outcomes: Counter[str] = Counter()
         for _ in range(max(1, round(count / len(filled)))):
             copy.write_bytes(content)
             with contextlib.closing(sqlite3.connect(copy)) as raw:
@@ -238,14 +238,14 @@ def edits(path: Path, folder: Path, count: int, seed: int) -> Iterator[tuple[obj
                 try:
                     column, changed = an_edit(rng, raw, table)
                 except sqlite3.IntegrityError:
-                    found["refused by the database"] += 1
+                    outcomes["refused by the database"] += 1
                     continue
                 raw.commit()
             verdict = _verdict_of_edit(copy, table, column) if changed else "changed nothing"
-            found[verdict] += 1
+            outcomes[verdict] += 1
             if verdict == "unseen":
                 print(f"unseen: {table}.{column or '(row)'}")
-        yield table, sum(found.values()), *(found[name] for name in EDITS[2:])
+        yield table, sum(outcomes.values()), *(outcomes[name] for name in EDITS[2:])
 
 
 def _verdict_of_edit(copy: Path, table: str, column: str) -> str:

@@ -84,21 +84,21 @@ PAGES_OF_QUALITY = (
 
 def fill(registry: Registry, units: int) -> None:
     """Register a lot of units with results of every kind, each with the map and the recording of one simulated unit."""
-    known, rng = add_simulated_unit(registry), np.random.default_rng(0)
+    unit_state, rng = add_simulated_unit(registry), np.random.default_rng(0)
     for start in range(0, units, CHUNK):
         with registry.transaction():
             for number in range(start, min(start + CHUNK, units)):
-                registry.calibrations.add(LOT, result(known, number, float(abs(rng.normal(0.08, 0.012)))))
+                registry.calibrations.add(LOT, result(unit_state, number, float(abs(rng.normal(0.08, 0.012)))))
     registry.lots.set_limit(LOT, 0.12, reason="benchmark")
     registry.people.set(QUALITY, "quality", QUALITY_PIN, actor="installation")
     registry.people.set(NAME, "engineer", PIN, actor=QUALITY)
 
 
-def result(known: UnitState, number: int, error: float) -> UnitState:
+def result(unit_state: UnitState, number: int, error: float) -> UnitState:
     """Return the result of one unit, by its forecast alone."""
     forecast = ErrorForecast(error, error - 0.02, error + 0.02)
-    fit = replace(known.fit, id=f"{number:064x}", serial=f"U{number:06d}", forecast=forecast)
-    return replace(known, fit=fit, limit=Limit("N", 0.12))
+    fit = replace(unit_state.fit, id=f"{number:064x}", serial=f"U{number:06d}", forecast=forecast)
+    return replace(unit_state, fit=fit, limit=Limit("N", 0.12))
 
 
 def add_simulated_unit(registry: Registry) -> UnitState:
@@ -124,11 +124,11 @@ def empty_page(folder: Path) -> Iterator[Site]:
         yield site
 
 
-def paint_s(page: Page, address: str, path: str, wanted: str) -> float:
+def paint_s(page: Page, address: str, path: str, selector: str) -> float:
     """Return the seconds from the address to what a person came for."""
     start_s = time.perf_counter()
     page.goto(f"{address}/{path}", wait_until="commit")
-    page.locator(wanted).first.wait_for(timeout=120_000, state="attached")
+    page.locator(selector).first.wait_for(timeout=120_000, state="attached")
     return time.perf_counter() - start_s
 
 
@@ -148,9 +148,9 @@ def rest(page: Page) -> None:
 
 def row(browser: Browser, site: Site, entry: tuple[str, str, str, str], rounds: int, cookies: list) -> tuple:
     """Return one row of the table: medians for a new browser, its page thread, a known browser; the server's CPU."""
-    name, path, wanted, what = entry
+    name, path, selector, what = entry
     address, process_id = site
-    new, cpu, known, of_server = [], [], [], []
+    new, cpu, warm_s, of_server = [], [], [], []
     for _ in range(rounds):
         began_s = cpu_s(process_id)
         context = browser.new_context(viewport={"width": 1280, "height": 900})
@@ -158,17 +158,17 @@ def row(browser: Browser, site: Site, entry: tuple[str, str, str, str], rounds: 
         page = context.new_page()
         devtools = context.new_cdp_session(page)
         devtools.send("Performance.enable", {"timeDomain": "threadTicks"})
-        new.append(paint_s(page, address, path, wanted))
+        new.append(paint_s(page, address, path, selector))
         metrics = devtools.send("Performance.getMetrics")["metrics"]
         cpu.append(next(m["value"] for m in metrics if m["name"] == "TaskDuration"))
         rest(page)
         of_server.append(cpu_s(process_id) - began_s)
         tab, began_s = context.new_page(), cpu_s(process_id)
-        known.append(paint_s(tab, address, path, wanted))
+        warm_s.append(paint_s(tab, address, path, selector))
         rest(tab)
         of_server.append(cpu_s(process_id) - began_s)
         context.close()
-    medians = (statistics.median(times) for times in (new, cpu, known))
+    medians = (statistics.median(times) for times in (new, cpu, warm_s))
     return name, what, *medians, of_server[0], statistics.median(of_server[1:])
 
 
@@ -176,9 +176,9 @@ def cookies_of(browser: Browser, address: str, name: str, pin: str) -> list:
     """Sign somebody in and return what the browser remembers of it."""
     context = browser.new_context()
     sign_in(context.new_page(), address, name, pin)
-    found = context.cookies()
+    cookies = context.cookies()
     context.close()
-    return found
+    return cookies
 
 
 def queries(registry: Registry) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -203,25 +203,27 @@ def main() -> None:
             fill(registry, options.units)
             rows = ((name, 1e3 * median_s(query, options.rounds)) for name, query in queries(registry))
             print_table((f"query, {options.units} units, SQLite", "ms"), rows)
-            registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="rig:1"))
+            registry.order_queue.write_heartbeat(
+                Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="rig:1")
+            )
         print(flush=True)
         os.environ["XDG_DATA_HOME"] = folder
         with empty_page(Path(folder)) as empty, served(url) as site, chromium() as browser:
             header = ("page", "to", "new browser s", "browser CPU s", "known browser s", "server CPU s, cold", "warm")
-            left = (0, 1, 5, 6) if options.server else range(len(header))
-            rows = (tuple(one[k] for k in left) for one in table(browser, empty, site, options.rounds))
-            print_table(tuple(header[k] for k in left), rows)
+            columns = (0, 1, 5, 6) if options.server else range(len(header))
+            rows = (tuple(one[k] for k in columns) for one in table(browser, empty, site, options.rounds))
+            print_table(tuple(header[k] for k in columns), rows)
 
 
 def table(browser: Browser, empty: Site, site: Site, rounds: int) -> Iterator[tuple]:
     """Give one row per page, the empty page first and last: the machine may be busier at one end than at the other."""
-    floor = ("empty page", "", ".sc-word", "its word")
-    yield row(browser, empty, floor, rounds, [])
+    baseline = ("empty page", "", ".sc-word", "its word")
+    yield row(browser, empty, baseline, rounds, [])
     for name, pin, pages in ((NAME, PIN, PAGES), (QUALITY, QUALITY_PIN, PAGES_OF_QUALITY)):
         cookies = cookies_of(browser, site[0], name, pin)
         for entry in pages:
             yield row(browser, site, entry, rounds, cookies)
-    yield row(browser, empty, floor, rounds, [])
+    yield row(browser, empty, baseline, rounds, [])
 
 
 if __name__ == "__main__":

@@ -15,29 +15,31 @@ from common.screens import chromium
 
 DOCS_IMAGES = Path("docs/images")
 LINE, METHOD = "line", "method"
-DESK = (*desk_pictures.PAGES, *desk_pictures.PAGES_OF_QUALITY, desk_pictures.SIGN_IN)
+OFFICE_PAGES = (*desk_pictures.PAGES, *desk_pictures.PAGES_OF_QUALITY, desk_pictures.SIGN_IN)
 
 
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("--only", choices=(LINE, METHOD, *DESK), action="append", metavar="NAME", help="repeatable")
+    parser.add_argument(
+        "--only", choices=(LINE, METHOD, *OFFICE_PAGES), action="append", metavar="NAME", help="repeatable"
+    )
     parser.add_argument("--out", type=Path, default=Path("build/screenshots"))
     parser.add_argument("--docs", action="store_true", help="replace the pictures that the documentation shows")
     parser.add_argument("--language", default="en", help="of the operator's screen")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    names = options.only or (LINE, METHOD, *DESK)
+    names = options.only or (LINE, METHOD, *OFFICE_PAGES)
     with chromium() as browser:
         if LINE in names:
             line_pictures.take_all(browser, options.out, options.language)
         if METHOD in names:
             method_pictures.take_all(browser, options.out)
-        if set(names) & set(DESK):
+        if set(names) & set(OFFICE_PAGES):
             desk_pictures.take_all(browser, options.out, names)
     if options.docs:
-        for shown in DOCS_IMAGES.glob("*.png"):
-            if (taken := options.out / shown.name).exists():
-                shutil.copyfile(taken, shown)
+        for picture in DOCS_IMAGES.glob("*.png"):
+            if (new_picture := options.out / picture.name).exists():
+                shutil.copyfile(new_picture, picture)
 
 
 if __name__ == "__main__":

@@ -91,8 +91,8 @@ def functions(trees: Mapping[str, ast.Module]) -> Rows:
     """Return how many functions there are, and how many of the private ones their module calls at one place only."""
     total = private = once = 0
     for tree in trees.values():
-        called = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
-        calls = Counter(node.id if isinstance(node, ast.Name) else getattr(node, "attr", "") for node in called)
+        call_targets = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+        calls = Counter(node.id if isinstance(node, ast.Name) else getattr(node, "attr", "") for node in call_targets)
         names = [node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
         hidden = [name for name in names if name.startswith("_") and not name.startswith("__")]
         total, private = total + len(names), private + len(hidden)
@@ -150,37 +150,42 @@ def shape(package: str, trees: Mapping[str, ast.Module]) -> str:
             arrows.setdefault(parts[1], set())
     for name, home in homes.items():
         for module, what in imported(trees[name]):
-            _, other_package, room, *_ = f"{module}.{what}".split(".")
-            if other_package == package and room in arrows and room != home:
-                arrows[home].add(room)
+            _, other_package, inner_package, *_ = f"{module}.{what}".split(".")
+            if other_package == package and inner_package in arrows and inner_package != home:
+                arrows[home].add(inner_package)
     circles = [circle for circle in components(arrows) if len(circle) > 1]
-    floor_of: dict[frozenset[str], int] = {}
+    layer_of: dict[frozenset[str], int] = {}
     for circle in components(arrows):
-        below = [floor_of[other] for other in floor_of if any(arrows[room] & other for room in circle)]
-        floor_of[circle] = 1 + max(below, default=0)
+        below = [
+            layer_of[other] for other in layer_of if any(arrows[inner_package] & other for inner_package in circle)
+        ]
+        layer_of[circle] = 1 + max(below, default=0)
     back = sum(closing(circle, arrows) for circle in circles)
     count = sum(map(len, arrows.values()))
-    return f"{len(arrows)}, {max(floor_of.values())}, {count}, {back}, {len(circles)}"
+    return f"{len(arrows)}, {max(layer_of.values())}, {count}, {back}, {len(circles)}"
 
 
 def components(arrows: Arrows) -> list[frozenset[str]]:
     """Return groups of rooms that reach one another, those that the others stand on first."""
-    reached = {room: {room} for room in arrows}
+    reached = {package: {package} for package in arrows}
     for _ in arrows:
-        reached = {room: {room}.union(*(reached[other] for other in arrows[room])) for room in arrows}
-    groups = {frozenset(o for o in reached[room] if room in reached[o]) for room in arrows}
+        reached = {package: {package}.union(*(reached[other] for other in arrows[package])) for package in arrows}
+    groups = {frozenset(o for o in reached[package] if package in reached[o]) for package in arrows}
     return sorted(groups, key=lambda group: (len(reached[min(group)]), min(group)))
 
 
 def closing(circle: frozenset[str], arrows: Arrows) -> int:
     """Return how many arrows of a circle point back when its rooms stand in a good order (Eades and others 1993)."""
     order: list[str] = []
-    left = set(circle)
-    while left:
-        room = max(sorted(left), key=lambda room: len(arrows[room] & left) - sum(room in arrows[o] for o in left))
-        order.append(room)
-        left.remove(room)
-    return sum(order.index(other) < order.index(room) for room in circle for other in arrows[room] & circle)
+    remaining = set(circle)
+    while remaining:
+        package = max(
+            sorted(remaining),
+            key=lambda package: len(arrows[package] & remaining) - sum(package in arrows[o] for o in remaining),
+        )
+        order.append(package)
+        remaining.remove(package)
+    return sum(order.index(other) < order.index(package) for package in circle for other in arrows[package] & circle)
 
 
 def print_way() -> None:
@@ -198,18 +203,18 @@ def print_way() -> None:
     problem = UnitProblem(
         make_source_model(lot.source, network, method=Method()), lot.units[0].recording, audit=lot.units[0].audit
     )
-    called: list[str] = []
+    call_chain: list[str] = []
 
     def note(frame: FrameType, event: str, _: object) -> None:
         file, caller = frame.f_code.co_filename, frame.f_back
         is_direct = caller is not None and caller.f_code.co_filename.endswith(FITTED) and not file.endswith(FITTED)
         if event == "call" and is_direct and "/core/" in file:
-            called.append(file.split("/core/")[1])
+            call_chain.append(file.split("/core/")[1])
 
     sys.setprofile(note)
     calibrate(problem)
     sys.setprofile(None)
-    way = [name for name, _ in groupby(called)]
+    way = [name for name, _ in groupby(call_chain)]
     print(f"{len(set(way))} modules, {len(way) - len(set(way))} returns: {', '.join(dict.fromkeys(way))}")
 
 

@@ -60,8 +60,8 @@ def estimate(options: argparse.Namespace) -> None:
     """
     count = 40_000 if options.quick else 400_000
     rng = np.random.default_rng(0)
-    network, recording = made_up_network(rng), made_up_recording(rng, count)
-    calibration = made_up_calibration(network, recording.part(0, 20_000))
+    network, recording = random_network(rng), random_recording(rng, count)
+    calibration = random_calibration(network, recording.part(0, 20_000))
     whole_s = median_s(lambda: estimated(network, calibration, recording), REPEATS)
     print(f"batch: {count / whole_s:,.0f} windows/s ({count:,} windows, median of {REPEATS}; target 500,000)\n")
     print_profile(network, calibration, recording, whole_s)
@@ -82,12 +82,12 @@ def print_profile(network: Network, calibration: UnitState, recording: OutputRec
         "interval": lambda: interval.half(value, shape, distance),
         "run lengths": lambda: run_lengths(recording.output),
     }
-    taken = {name: median_s(step, REPEATS) for name, step in steps.items()}
-    taken["flags and the rest"] = max(whole_s - sum(taken.values()), 0.0)
-    taken["*floor: the network's matrix products alone*"] = products_alone_s(network, len(mapped))
+    seconds = {name: median_s(step, REPEATS) for name, step in steps.items()}
+    seconds["flags and the rest"] = max(whole_s - sum(seconds.values()), 0.0)
+    seconds["*floor: the network's matrix products alone*"] = products_alone_s(network, len(mapped))
     rows = (
         (name, f"{1e3 * step_s:.1f}", f"{step_s / whole_s:.0%}", f"{1e9 * step_s / len(recording):.0f}")
-        for name, step_s in taken.items()
+        for name, step_s in seconds.items()
     )
     print_table("step | ms | share | ns per window", rows)
 
@@ -131,18 +131,18 @@ def print_streaming(network: Network, calibration: UnitState, recording: OutputR
     print(f"streaming: {middle:.3f} ms per sample, 99th percentile {late:.3f} ms (target 1 ms)")
 
 
-def made_up_network(rng: np.random.Generator) -> Network:
+def random_network(rng: np.random.Generator) -> Network:
     weights = tuple(rng.normal(0, np.sqrt(2 / a), (a, b)) for a, b in zip(SIZES[:-1], SIZES[1:], strict=True))
     return Network(weights, tuple(rng.normal(0, 0.1, b) for b in SIZES[1:]), 1.0, 0.3, 2.0, 1.0)
 
 
-def made_up_recording(rng: np.random.Generator, count: int) -> OutputRecording:
+def random_recording(rng: np.random.Generator, count: int) -> OutputRecording:
     t_s = np.arange(count) / RATE_HZ
     output_V = 1.0 + 0.3 * np.sin(0.7 * t_s) * np.sin(0.11 * t_s) + rng.normal(0, 0.002, count)
     return OutputRecording("U1", t_s, output_V, RATE_HZ)
 
 
-def made_up_calibration(network: Network, recording: OutputRecording) -> UnitState:
+def random_calibration(network: Network, recording: OutputRecording) -> UnitState:
     source = LabelledRecording(
         recording, np.concatenate([np.zeros(TAPS - 1), network.evaluate(windows(recording.output))])
     )
@@ -252,9 +252,9 @@ def start(options: argparse.Namespace) -> None:
         for _ in range(3 if options.quick else 15):
             for name, command in commands.items():
                 costs[name].append(_cost(command))
-    least = {name: min(runs) for name, runs in costs.items()}
-    floor_s = least["python -c pass"][0]
-    rows = ((name, cpu_s, cpu_s / floor_s, f"{peak_MB:.0f}") for name, (cpu_s, peak_MB) in least.items())
+    min_s = {name: min(runs) for name, runs in costs.items()}
+    floor_s = min_s["python -c pass"][0]
+    rows = ((name, cpu_s, cpu_s / floor_s, f"{peak_MB:.0f}") for name, (cpu_s, peak_MB) in min_s.items())
     print_table("command | CPU, s | times python -c pass | memory, MB", rows)
 
 
@@ -393,9 +393,11 @@ def _calibrated_unit(folder: Path) -> tuple[str, str, str]:
     """Calibrate a unit S2 by the commands; return the registry's URL, 1,000 further rows of it, and a file to write."""
     registry, tables = f"sqlite:///{folder / 'registry.db'}", []
     for serial, samples, seed, gain in (("S1", 1500, 1, 1.0), ("S2", 1500, 2, GAIN), ("new", 1000, 3, GAIN)):
-        pressed = unit(samples, seed, gain, 0.0)
+        recorded_unit = unit(samples, seed, gain, 0.0)
         table = folder / f"{serial}.csv"
-        columns = np.column_stack([pressed.unlabelled.t_s, pressed.unlabelled.output, pressed.reference])
+        columns = np.column_stack(
+            [recorded_unit.unlabelled.t_s, recorded_unit.unlabelled.output, recorded_unit.reference]
+        )
         np.savetxt(table, columns, delimiter=",", header="t_s,output,reference", comments="")
         tables.append(str(table))
     softcal, lot = str(Path(sys.executable).with_name("softcal")), str(folder / "lot")

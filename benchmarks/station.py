@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from common.command import Commands
 from common.rig_trial import ForceLaw, RigCase, open_rig, press_until_gone
-from common.station_runs import MOST_FAULTS, broken_property, explore
+from common.station_runs import MAX_FAULTS, broken_property, explore
 from common.tables import print_table
 from scipy.optimize import brentq
 
@@ -47,11 +47,11 @@ Row = tuple[object, ...]
 
 UNITS, TOUCHES = 12, 8
 COEFFICIENTS, POWERS = (0.5, 1.2, 5.0), (1.0, 1.1, 1.25, 1.4, 1.5, 1.75, 2.0)
-TOUCH, FAST = ramps([0.3], 0.5, rest_s=0.1), ramps([1.5, 2.0], 5.0, rest_s=0.3)
+FIRST_APPROACH, FAST = ramps([0.3], 0.5, rest_s=0.1), ramps([1.5, 2.0], 5.0, rest_s=0.3)
 LATE = ((0.1, 0.1), (0.1, UNKNOWN_S), (0.3, UNKNOWN_S))
 """How late the cell is, and what the station file says of it."""
 
-FOUND = "mean, um | standard deviation, um | rms, um | largest, um | search, s"
+CONTACT_HEADER = "mean, um | standard deviation, um | rms, um | largest, um | search, s"
 
 DECISION = DecisionConfig()
 
@@ -60,25 +60,30 @@ def contact(options: argparse.Namespace) -> None:
     """How well the stage finds a unit's surface: error against where it truly lies, of twin units and of force laws."""
     seeds, step = range(1, 2 if options.quick else 4), 2 if options.quick else 1
     print(f"Units of the twin, {UNITS} a lot.\n")
-    print_table(f"lot | {FOUND}", ((seed, *_found(_of_lot(seed))) for seed in seeds))
+    print_table(f"lot | {CONTACT_HEADER}", ((seed, *_statistics(_of_lot(seed))) for seed in seeds))
     print(f"Force laws k·x^p under a cell of 80 Hz with 4 mN of noise, {TOUCHES} touches each.\n")
     laws = itertools.product((1.2,) if options.quick else COEFFICIENTS, POWERS[::step])
-    rows: Iterator[Row] = ((f"{k:g}", f"{p:g}", *_found(_of_law(ForceLaw(k, p)))) for k, p in laws)
-    print_table(f"k, N/mm^p | p | {FOUND}", rows)
+    rows: Iterator[Row] = ((f"{k:g}", f"{p:g}", *_statistics(_of_law(ForceLaw(k, p)))) for k, p in laws)
+    print_table(f"k, N/mm^p | p | {CONTACT_HEADER}", rows)
     print(f"Laws 1.2·x^p under a cell that is late, {TOUCHES} touches each; a slow press comes before the profile.\n")
     cases = itertools.product((1.4,) if options.quick else (1.0, 1.4, 2.0), LATE[::step])
     rows = (
-        (f"{p:g}", f"{late_s:g}", _stated(stated_s), *_found(_of_law(ForceLaw(1.2, p), late_s, stated_s, FAST)))
-        for p, (late_s, stated_s) in cases
+        (
+            f"{p:g}",
+            f"{late_s:g}",
+            _with_declared_latency(declared_s),
+            *_statistics(_of_law(ForceLaw(1.2, p), late_s, declared_s, FAST)),
+        )
+        for p, (late_s, declared_s) in cases
     )
-    print_table(f"p | late, s | stated | {FOUND}", rows)
+    print_table(f"p | late, s | stated | {CONTACT_HEADER}", rows)
 
 
-def _stated(latency_s: float) -> str:
+def _with_declared_latency(latency_s: float) -> str:
     return "not" if latency_s == UNKNOWN_S else f"{latency_s:g}"
 
 
-def _found(touches: list[tuple[float, float]]) -> Row:
+def _statistics(touches: list[tuple[float, float]]) -> Row:
     errors, search_s = np.array(touches).T
     rms, largest = np.sqrt(np.mean(errors**2)), np.max(np.abs(errors))
     return f"{errors.mean():+.1f}", *(f"{x:.1f}" for x in (errors.std(), rms, largest, np.mean(search_s)))
@@ -90,48 +95,50 @@ def _of_lot(seed: int) -> list[tuple[float, float]]:
     with open_simulated_bench(twins[0], seed) as (bench, station):
         for twin in twins:
             station.mount(twin)
-            watch = _Watch()
-            found_mm = record(bench, "A1", ramps([1.0], 4.0, rest_s=0.2), True, watch).contact_mm
-            touches.append((1e3 * (found_mm - station.rig.clearance_mm - twin.parameters.u0_mm), watch.search_s))
+            contact_recorder = _ContactRecorder()
+            found_mm = record(bench, "A1", ramps([1.0], 4.0, rest_s=0.2), True, contact_recorder).contact_mm
+            touches.append(
+                (1e3 * (found_mm - station.rig.clearance_mm - twin.parameters.u0_mm), contact_recorder.search_s)
+            )
     return touches
 
 
 def _of_law(
-    law: ForceLaw, late_s: float = 0.0, stated_s: float = 0.0, profile: Profile = TOUCH
+    law: ForceLaw, late_s: float = 0.0, declared_s: float = 0.0, profile: Profile = FIRST_APPROACH
 ) -> list[tuple[float, float]]:
     touches = []
     for seed in range(TOUCHES):
         # The surface lies anywhere between two steps of the status.
         surface_mm = 2.2 + 0.01 * float(np.random.default_rng(seed).uniform())
-        cell = {"cell_late_s": late_s, "latency_s": stated_s, "limit_N": 12.0}
-        watch = _Watch()
+        cell = {"cell_late_s": late_s, "latency_s": declared_s, "limit_N": 12.0}
+        contact_recorder = _ContactRecorder()
         with open_rig(RigCase(law=law, surface_mm=surface_mm, stiffest_N_mm=60.0, seed=seed, **cell)) as (bench, _):
-            error_um = 1e3 * (record(bench, "A1", profile, True, watch).contact_mm - surface_mm)
-        touches.append((error_um, watch.search_s))
+            error_um = 1e3 * (record(bench, "A1", profile, True, contact_recorder).contact_mm - surface_mm)
+        touches.append((error_um, contact_recorder.search_s))
     return touches
 
 
-class _Watch:
+class _ContactRecorder:
     """Takes the progress of a run, and keeps when it searched."""
 
     def __init__(self) -> None:
-        self._seen_s = list[float]()
+        self._received_s = list[float]()
 
     def __call__(self, progress: RunProgress) -> None:
         if progress.phase == SEARCHING:
-            self._seen_s.append(progress.t_s)
+            self._received_s.append(progress.t_s)
 
     @property
     def search_s(self) -> float:
         """From the beginning of the search to its end."""
-        return self._seen_s[-1] - self._seen_s[0]
+        return self._received_s[-1] - self._received_s[0]
 
 
 # By how much the force overshoots its limit.
 
 LIMIT_N = 5.0
 SEEDS = 3
-PRESSED = {
+UNITS_PRESSED = {
     "nominal unit": Twin(),
     "stiff unit": Twin(BaseParameters(k1_N_mm=6.0, k3_N_mm3=0.5)),
     "unit with a hard stop": Twin(BaseParameters(k1_N_mm=1.0, k3_N_mm3=2.0)),
@@ -143,14 +150,14 @@ def overload(options: argparse.Namespace) -> None:
     print(
         f"Force limit {LIMIT_N:g} N; load cell at 80 samples a second with delays of up to 0.1 s; worst of {SEEDS}.\n"
     )
-    units = list(PRESSED)[:1] if options.quick else PRESSED
+    units = list(UNITS_PRESSED)[:1] if options.quick else UNITS_PRESSED
     speeds_mm_s = (2.0, 10.0) if options.quick else (1.0, 2.0, 5.0, 10.0)
     head = "under the stage | speed, mm/s | force rate at the limit, N/s | largest force, N | overshoot, N | stopped"
     print_table(head, itertools.starmap(_overshoot, itertools.product(units, speeds_mm_s)))
 
 
 def _overshoot(name: str, speed_mm_s: float) -> Row:
-    unit = PRESSED[name]
+    unit = UNITS_PRESSED[name]
     force_N, stopped = max(_press(unit, speed_mm_s, seed) for seed in range(SEEDS))
     k1, k3 = unit.parameters.k1_N_mm, unit.parameters.k3_N_mm3
     # Slope of F = k1·δ + k3·δ³ where F is the limit.
@@ -173,7 +180,7 @@ def _press(unit: Twin, speed_mm_s: float, seed: int) -> tuple[float, str]:
 # What still runs out when the host dies.
 
 STOP_MM = 0.5
-PLACES_MM = (-0.02, -0.005, -0.002, 0.0, 0.001, 0.002, 0.003)
+POSITIONS_MM = (-0.02, -0.005, -0.002, 0.0, 0.001, 0.002, 0.003)
 """Where the host dies, against the stop; deeper the force limit has stopped the stage."""
 
 
@@ -189,9 +196,9 @@ def _deaths(accelerations: tuple[float, ...], stops_N_mm: tuple[float, ...]) -> 
         for where, phase, stop_mm in (("in the first press", PROBING, STOP_MM), ("in the search", SEARCHING, 0.0)):
             law = ForceLaw(stop_mm=stop_mm, stop_N_mm=stop_N_mm)
             case = RigCase(a, law, 1.2, latency_s=latency_s, approach_mm=1.1)
-            deaths = (press_until_gone(case, ramps([1.4], 8.0), phase, stop_mm + mm) for mm in PLACES_MM)
+            deaths = (press_until_gone(case, ramps([1.4], 8.0), phase, stop_mm + mm) for mm in POSITIONS_MM)
             largest_N = max(force_N for force_N in deaths if force_N is not None)
-            yield f"{a:g}", f"{stop_N_mm:g}", _stated(latency_s), where, f"{largest_N:.2f}", 18
+            yield f"{a:g}", f"{stop_N_mm:g}", _with_declared_latency(latency_s), where, f"{largest_N:.2f}", 18
 
 
 # All runs of the safety core.
@@ -208,16 +215,16 @@ def model(options: argparse.Namespace) -> None:
 
 def _explored(faults: int) -> Row:
     began_s, transitions = clock.perf_counter(), sum(len(row.exits) for row in TABLE.values())
-    found = explore(broken_property, faults)
-    print(*found.broken[:5], sep="\n", end="\n" if found.broken else "")
-    ways, took_s = f"{len(found.ways)} of {transitions}", clock.perf_counter() - began_s
-    return faults, found.runs, found.states, ways, len(found.broken), f"{took_s:.1f}"
+    counterexample = explore(broken_property, faults)
+    print(*counterexample.broken[:5], sep="\n", end="\n" if counterexample.broken else "")
+    ways, took_s = f"{len(counterexample.ways)} of {transitions}", clock.perf_counter() - began_s
+    return faults, counterexample.runs, counterexample.states, ways, len(counterexample.broken), f"{took_s:.1f}"
 
 
 # How long must a unit be pressed?
 
 SECONDS = (10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 150.0)
-BESIDE_S = 11.0
+OTHER_WORK_S = 11.0
 """Homing once, approach, zero, contact, settling and zero return; `station_soak.py` measures it."""
 
 
@@ -233,17 +240,19 @@ def seconds(options: argparse.Namespace) -> None:
     network = fit_network(lot.source, config).network
     source = make_source_model(lot.source, network, method=Method())
     # Errors of calibrations of the units' own, on the rows that score their maps.
-    own = {}
+    own_errors = {}
     for serial, unit in lot.units.items():
         scores = score_map(
             network, calibrate(UnitProblem(source, unit)).unit_map, lot.audits[serial], source.method.decision, config
         ).own
-        own[serial] = None if scores is None else scores.own
+        own_errors[serial] = None if scores is None else scores.own
     head = "pressed, s | compressions | after/own of each unit | median | worst | passed | s per unit | units per h"
-    print_table(head, (_pressed(lot, source, own, pressed_s) for pressed_s in SECONDS))
+    print_table(head, (_score_press(lot, source, own_errors, pressed_s) for pressed_s in SECONDS))
 
 
-def _pressed(lot: RecordedLot, source: SourceModel, own: dict[str, MeasuredError | None], pressed_s: float) -> Row:
+def _score_press(
+    lot: RecordedLot, source: SourceModel, own_errors: dict[str, MeasuredError | None], pressed_s: float
+) -> Row:
     ratios, passed, presses = [], 0, []
     for serial, unit in lot.units.items():
         cut = unit.part(0, int(pressed_s * unit.sample_rate_Hz))
@@ -253,12 +262,12 @@ def _pressed(lot: RecordedLot, source: SourceModel, own: dict[str, MeasuredError
         except UnitRefused:
             ratios.append(float("nan"))
             continue
-        beside = score_map(
-            source.network, calibration.unit_map, lot.audits[serial], source.method.decision, own[serial]
+        scores = score_map(
+            source.network, calibration.unit_map, lot.audits[serial], source.method.decision, own_errors[serial]
         ).own
-        ratios.append(float("nan") if beside is None else beside.after_ratio)
+        ratios.append(float("nan") if scores is None else scores.after_ratio)
         passed += calibration.decision.verdict == "pass"
-    each, all_s = " ".join(f"{ratio:.2f}" for ratio in ratios), pressed_s + BESIDE_S
+    each, all_s = " ".join(f"{ratio:.2f}" for ratio in ratios), pressed_s + OTHER_WORK_S
     middle, worst = f"{np.nanmedian(ratios):.2f}", f"{np.nanmax(ratios):.2f}"
     counts = f"{passed} of {len(ratios)}", f"{all_s:.0f}", f"{3600 / all_s:.0f}"
     return f"{pressed_s:g}", f"{np.median(presses):.0f}", each, middle, worst, *counts
@@ -313,8 +322,8 @@ def _run(delays: tuple[float, float, float], seed: int) -> tuple[float, float, f
     grid_s = np.arange(0.0, recording.t_s[-1], 1 / recording.sample_rate_Hz)
     pairs = ((force_N, recording.force_N), (output_V, recording.output[:, 0]))
     force_s, output_s = (
-        residual_offset_s(np.interp(grid_s, recording.t_s, true), np.interp(grid_s, recording.t_s, seen), 50.0)
-        for true, seen in pairs
+        residual_offset_s(np.interp(grid_s, recording.t_s, true), np.interp(grid_s, recording.t_s, estimated), 50.0)
+        for true, estimated in pairs
     )
     return late_s, force_s, output_s, recording.alignment.stage_residual_mm
 
@@ -326,7 +335,7 @@ def main() -> None:
     every.add(host_dies, "one drive, two stops")
     every.add(time, "one run for each kind of line")
     every.add(seconds, "two units, a small network").add_argument("--seed", type=int, default=7, help="of the lot")
-    every.add(model).add_argument("--faults", type=int, default=MOST_FAULTS, help="most in one run")
+    every.add(model).add_argument("--faults", type=int, default=MAX_FAULTS, help="most in one run")
     every.run()
 
 

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from common.command import Kept, parser_of, part_of
+from common.command import ResultCache, parser_of, part_of
 from common.drawn_faults import KINDS, draw_fault, press_drawn
 from common.fault_trial import DISK_MOMENTS, FaultOutcome, run_with_dead_host, run_with_fault, run_with_full_disk
 from common.tables import print_table, wilson_interval
@@ -31,13 +31,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=math.inf, help="stop drawing after so long")
     options = parser.parse_args()
     if options.drawn:
-        _draw(options.drawn[0], options.drawn[1], Kept(options.kept), time.monotonic() + 60.0 * options.minutes)
+        _draw(options.drawn[0], options.drawn[1], ResultCache(options.kept), time.monotonic() + 60.0 * options.minutes)
         return
     runs: dict[str, Run] = {f.name: partial(run_with_fault, f) for f in FAULTS[:: 4 if options.quick else 1]}
     runs |= {f"disk full: {moment}": partial(run_with_full_disk, moment=moment) for moment in DISK_MOMENTS}
     runs |= {"host dies": run_with_dead_host}
-    kept = Kept(options.kept)
-    outcomes = [FaultOutcome(**kept.of(name, partial(_run, runs[name]))) for name in part_of(options, list(runs))]
+    cache = ResultCache(options.kept)
+    outcomes = [FaultOutcome(**cache.get(name, partial(_run, runs[name]))) for name in part_of(options, list(runs))]
     stops = np.array([outcome.stopped_s for outcome in outcomes if math.isfinite(outcome.stopped_s)])
     good = sum(outcome.record == "good" for outcome in outcomes)
     hung = sum(outcome.error == "hang" for outcome in outcomes)
@@ -53,33 +53,33 @@ FIRST_SEED = 6000
 """No number of the method was chosen on these seeds. Two were on the 500 good rigs from 3000 on."""
 
 
-def _draw(rounds: int, good: int, kept: Kept, end_s: float) -> None:
+def _draw(rounds: int, good: int, cache: ResultCache, end_s: float) -> None:
     """Press good rigs and rigs with drawn faults until the time is over, and print how many were seen."""
     rows: dict[str, list[tuple[float, str, str]]] = defaultdict(list)
     trials = [(kind.name, FIRST_SEED + n, kind) for n in range(rounds) for kind in KINDS]
     trials += [("good rigs", FIRST_SEED + n, None) for n in range(good)]
     for name, seed, kind in trials:
-        drawn, key = draw_fault(seed, kind), f"{name} {seed}"
-        if time.monotonic() < end_s or kept.has(key):
-            said = kept.of(key, lambda drawn=drawn: {"said": press_drawn(drawn)})["said"]  # type: ignore[misc]
-            rows[name].append((drawn.size, said, drawn.rig.stage_kind))
+        drawn_fault, key = draw_fault(seed, kind), f"{name} {seed}"
+        if time.monotonic() < end_s or cache.has(key):
+            code = cache.get(key, lambda drawn_fault=drawn_fault: {"said": press_drawn(drawn_fault)})["said"]  # type: ignore[misc]
+            rows[name].append((drawn_fault.size, code, drawn_fault.rig.stage_kind))
     false_alarms = rows.pop("good rigs", [])
-    alarms = [said for _, said, _ in false_alarms if said]
+    alarms = [code for _, code, _ in false_alarms if code]
     share = wilson_interval(len(alarms), len(false_alarms))
     print(f"{len(false_alarms)} good rigs, {len(alarms)} refused or remarked (95 % interval {share}).")
-    print("\n".join(f"- {said}" for said in alarms) + "\n")
+    print("\n".join(f"- {code}" for code in alarms) + "\n")
     table = []
     for kind in KINDS:
         drawn_rows = rows.get(kind.name, [])
         middle = math.sqrt(kind.low * kind.high)
         for what, low, high in (("small", kind.low, middle), ("large", middle, kind.high)):
-            some = [said for size, said, _ in drawn_rows if low <= size <= high]
+            some = [code for size, code, _ in drawn_rows if low <= size <= high]
             if some and not (what == "small" and kind.low == kind.high):
-                codes = Counter(said for said in some if said)
-                seen = sum(bool(said) for said in some)
+                codes = Counter(code for code in some if code)
+                reported = sum(bool(code) for code in some)
                 size = f"{low:.2g} to {high:.2g} {kind.unit}".strip() if low < high else ""
-                told = ", ".join(f"{said} ({count})" for said, count in codes.most_common(3))
-                table.append((kind.name, size, len(some), seen, wilson_interval(seen, len(some)), told))
+                codes_text = ", ".join(f"{code} ({count})" for code, count in codes.most_common(3))
+                table.append((kind.name, size, len(some), reported, wilson_interval(reported, len(some)), codes_text))
     print_table("fault | size | rigs | seen | 95 % interval (Wilson) | said as", table)
 
 

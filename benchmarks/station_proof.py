@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common.command import Kept, parser_of, part_of
+from common.command import ResultCache, parser_of, part_of
 from common.proof_trial import GoodRig, draw_good_rig, press_good_rig
 from common.tables import print_table, wilson_interval
 
@@ -61,19 +61,19 @@ def main() -> None:
     options = parser.parse_args()
     end_s = time.monotonic() + 60.0 * options.minutes
     first, end = (options.seeds[0], options.seeds[0] + 6) if options.quick else options.seeds
-    kept, rows = Kept(options.kept), list[Row]()
+    cache, rows = ResultCache(options.kept), list[Row]()
     for what, trial in (("good", _press), ("changed", _change), ("broken", _break)):
         for seed in part_of(options, range(first, end)):
             is_due = what == "good" or (seed - first) % EVERY[what] == 0
-            if is_due and (time.monotonic() < end_s or kept.has(f"{what} {seed}")):
-                rows += kept.of(f"{what} {seed}", partial(_tried, trial, seed))
+            if is_due and (time.monotonic() < end_s or cache.has(f"{what} {seed}")):
+                rows += cache.get(f"{what} {seed}", partial(_run_trial, trial, seed))
     _print(rows)
 
 
 Row = dict[str, Any]
 
 
-def _tried(trial: Callable[[GoodRig], Iterator[Row]], seed: int) -> list[Row]:
+def _run_trial(trial: Callable[[GoodRig], Iterator[Row]], seed: int) -> list[Row]:
     """Return what a trial of one rig shows, with what it is about."""
     rig = draw_good_rig(seed)
     about = {"seed": seed, "unit": rig.unit, "cell_Hz": rig.cell_Hz, "late_s": rig.late_s}
@@ -81,14 +81,14 @@ def _tried(trial: Callable[[GoodRig], Iterator[Row]], seed: int) -> list[Row]:
 
 
 def _press(rig: GoodRig) -> Iterator[Row]:
-    said, behind_s = _said(lambda: press_good_rig(rig).alignment.force_behind_s)
-    yield {"what": "good", "value": 0.0, "said": said, "behind_s": behind_s}
+    refusal, behind_s = _refusal_of(lambda: press_good_rig(rig).alignment.force_behind_s)
+    yield {"what": "good", "value": 0.0, "said": refusal, "behind_s": behind_s}
 
 
 def _change(rig: GoodRig) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.spool"
-        if _said(lambda: press_good_rig(rig, path).zero_N)[0]:
+        if _refusal_of(lambda: press_good_rig(rig, path).zero_N)[0]:
             yield {"what": "refused", "value": 0.0, "said": ""}
             return
         run = read_spool(path)
@@ -107,21 +107,21 @@ def _change(rig: GoodRig) -> Iterator[Row]:
 def _break(rig: GoodRig) -> Iterator[Row]:
     for what, values, breaks in (("stuck", STUCK_S, hang), ("slipped", SLIPPED_MM, _slip)):
         for value in values:
-            yield {"what": what, "value": value, "said": _pressed(rig, breaks, value)}
+            yield {"what": what, "value": value, "said": _press_good_rig(rig, breaks, value)}
 
 
-def _said(act: Callable[[], float]) -> tuple[str, float | None]:
+def _refusal_of(act: Callable[[], float]) -> tuple[str, float | None]:
     try:
-        found = act()
+        value_found = act()
     except SoftcalError as error:
         return str(error), None
-    return "", found if np.isfinite(found) else None
+    return "", value_found if np.isfinite(value_found) else None
 
 
 def _assembled(run: SpooledRun) -> str:
     # A latency that is not stated is corrected, not refused: it is stated here as it was found to be.
     metadata = replace(RunMetadata(**run.metadata), is_latency_declared=True)
-    return _said(lambda: assemble(Raw(run.output, run.force, run.polls), metadata).zero_N)[0]
+    return _refusal_of(lambda: assemble(Raw(run.output, run.force, run.polls), metadata).zero_N)[0]
 
 
 def _later(run: SpooledRun, late_s: float) -> SpooledRun:
@@ -175,7 +175,7 @@ def _loosened(run: SpooledRun, lost: Callable[[float], float], count: int, rng: 
 Breaks = Callable[[SimulatedStation, float], None]
 
 
-def _pressed(rig: GoodRig, breaks: Breaks, value: float) -> str:
+def _press_good_rig(rig: GoodRig, breaks: Breaks, value: float) -> str:
     is_broken = False
 
     def on_progress(progress: RunProgress, station: SimulatedStation) -> None:
@@ -185,8 +185,8 @@ def _pressed(rig: GoodRig, breaks: Breaks, value: float) -> str:
             is_broken = True
             breaks(station, value)
 
-    said = _said(lambda: press_good_rig(rig, None, on_progress).zero_N)[0]
-    return said if is_broken else "not broken"
+    refusal = _refusal_of(lambda: press_good_rig(rig, None, on_progress).zero_N)[0]
+    return refusal if is_broken else "not broken"
 
 
 def _slip(station: SimulatedStation, slipped_mm: float) -> None:
@@ -197,11 +197,12 @@ def _print(rows: list[Row]) -> None:
     good = [row for row in rows if row["what"] == "good"]
     refused = [row for row in good if row["said"]]
     off_ms = np.array([1000 * (row["behind_s"] - row["late_s"]) for row in good if row["behind_s"] is not None])
-    known = len(off_ms) / max(1, len(good) - len(refused))
+    good_share = len(off_ms) / max(1, len(good) - len(refused))
     share = wilson_interval(len(refused), len(good))
     print(f"{len(good)} good rigs pressed; {len(refused)} refused (95 % interval {share}).")
     print(
-        f"How late the cell was is known in {100 * known:.0f} %; found minus true: median {np.median(off_ms):+.1f} ms, "
+        f"How late the cell was is known in {100 * good_share:.0f} %; "
+        f"found minus true: median {np.median(off_ms):+.1f} ms, "
         f"from {off_ms.min():+.1f} to {off_ms.max():+.1f} ms.\n"
     )
     table: dict[tuple[str, float], list[bool]] = defaultdict(list)

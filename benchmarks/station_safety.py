@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 
-from common.command import Kept, no_longer_than, parser_of, part_of
+from common.command import ResultCache, no_longer_than, parser_of, part_of
 from common.rig_trial import ForceLaw, RigCase, RigOutcome, press
 from common.tables import print_table
 
@@ -74,14 +74,18 @@ def main() -> None:
     parser.add_argument("--each", action="store_true", help="print a row for each run as well")
     options = parser.parse_args()
     trials = list(trials_of(*(QUICK if options.quick else (ACCELERATIONS, CELLS, STOPS, SPEEDS))))
-    kept = Kept(options.kept)
+    cache = ResultCache(options.kept)
     outcomes = [
-        (trial, RigOutcome(**kept.of(repr(trial), partial(pressed, trial)))) for trial in part_of(options, trials)
+        (trial, RigOutcome(**cache.get(repr(trial), partial(press_trial, trial)))) for trial in part_of(options, trials)
     ]
     if options.each:
         print_each(outcomes)
-    for place, is_stated in itertools.product((LAYER, IN_THE_WAY), (False, True)):
-        print_forces(place, is_stated, [(t, o) for t, o in outcomes if (t.place, t.is_stated) == (place, is_stated)])
+    for surface, is_latency_declared in itertools.product((LAYER, IN_THE_WAY), (False, True)):
+        print_forces(
+            surface,
+            is_latency_declared,
+            [(t, o) for t, o in outcomes if (t.place, t.is_stated) == (surface, is_latency_declared)],
+        )
     print_summary(outcomes)
 
 
@@ -92,13 +96,13 @@ def trials_of(
     speeds: Sequence[float],
 ) -> Iterator[Trial]:
     """Yield all rigs; in the way of the approach the profile's speed is of no matter."""
-    for is_stated, a, cell, stop_N_mm in itertools.product((False, True), accelerations, cells, stops):
+    for is_latency_declared, a, cell, stop_N_mm in itertools.product((False, True), accelerations, cells, stops):
         for speed_mm_s in speeds:
-            yield Trial(LAYER, is_stated, a, *cell, stop_N_mm, speed_mm_s)
-        yield Trial(IN_THE_WAY, is_stated, a, *cell, stop_N_mm, speeds[0])
+            yield Trial(LAYER, is_latency_declared, a, *cell, stop_N_mm, speed_mm_s)
+        yield Trial(IN_THE_WAY, is_latency_declared, a, *cell, stop_N_mm, speeds[0])
 
 
-def pressed(trial: Trial) -> dict[str, object]:
+def press_trial(trial: Trial) -> dict[str, object]:
     """Return what became of one trial.
 
     Raises:
@@ -111,14 +115,14 @@ def pressed(trial: Trial) -> dict[str, object]:
 def print_forces(place: str, is_stated: bool, outcomes: Sequence[tuple[Trial, RigOutcome]]) -> None:
     """Print the largest force of each cell against its bound: of its speeds the one that came nearest."""
     stops = sorted({trial.stop_N_mm for trial, _ in outcomes})
-    stated = "the station file states how late the cell is" if is_stated else "the cell's latency is not stated"
+    latency_text = "the station file states how late the cell is" if is_stated else "the cell's latency is not stated"
     rigs = dict.fromkeys((t.acceleration_mm_s2, t.cell_Hz, t.late_s) for t, _ in outcomes)
     rows = []
     for rig in rigs:
         mine = [(t, o) for t, o in outcomes if (t.acceleration_mm_s2, t.cell_Hz, t.late_s) == rig]
         cells = [_nearest([(t, o) for t, o in mine if t.stop_N_mm == stop]) for stop in stops]
         rows.append((*(f"{value:g}" for value in rig), *cells))
-    print(f"A hard stop {place}, {stated}: largest force of its bound, N.\n")
+    print(f"A hard stop {place}, {latency_text}: largest force of its bound, N.\n")
     print_table(("mm/s²", "cell, Hz", "late, s", *(f"{stop:g} N/mm" for stop in stops)), rows)
 
 
@@ -133,9 +137,9 @@ def print_each(outcomes: Sequence[tuple[Trial, RigOutcome]]) -> None:
     """Print every run with what the operator reads."""
     rows = []
     for trial, outcome in outcomes:
-        said = outcome.message.replace("|", "/") or "–"
+        message = outcome.message.replace("|", "/") or "–"
         forces = f"{trial.bound_N():.1f}", f"{outcome.largest_N:.2f}"
-        rows.append((*map(str, asdict(trial).values()), *forces, outcome.ends, said))
+        rows.append((*map(str, asdict(trial).values()), *forces, outcome.ends, message))
     head = "place | stated | mm/s² | cell, Hz | late, s | N/mm | mm/s | bound, N | largest, N | ends | operator reads"
     print_table(head, rows)
 

@@ -78,7 +78,7 @@ class ShiftWithFaults:
         profile = unit_profile(np.random.default_rng(seed))
         hooks = Hooks(self._follow, lambda: False, lambda kind, rig: Gate())
         self._service = StationService(self._line.open, {OrderKind.UNIT: profile}, folder, hooks)
-        self._seen: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
 
     def run(self, hours: float, faults: int) -> None:
         """Press for so long, break it so often, and print the table."""
@@ -91,7 +91,7 @@ class ShiftWithFaults:
             broken.discard(self._count)
             self._count += 1
         self._service.close()
-        print_table("what | times", sorted(self._seen.items()))
+        print_table("what | times", sorted(self._counts.items()))
         took_s = time.perf_counter() - began_s
         print(f"{self._now_s / 3600:.2f} simulated h, {self._count} units, {took_s:.0f} s of the computer.")
 
@@ -126,16 +126,16 @@ class ShiftWithFaults:
         try:
             is_good = self._order()
         except TimeoutError:
-            self._seen["hangs"] += 1
+            self._counts["hangs"] += 1
             return
         if not fault:
-            self._seen["units pressed without a fault" if is_good else "units lost without a fault"] += 1
+            self._counts["units pressed without a fault" if is_good else "units lost without a fault"] += 1
             if is_good:
                 return
         else:
-            self._seen["faults"] += 1
-            self._seen["faults recorded as good"] += is_good
-            self._seen["faults that stopped the station"] += self._service.state is StationState.STOPPED
+            self._counts["faults"] += 1
+            self._counts["faults recorded as good"] += is_good
+            self._counts["faults that stopped the station"] += self._service.state is StationState.STOPPED
             if is_good:
                 print(f"recorded as good: {fault}")
         self._wait_and_acknowledge(fault)
@@ -160,7 +160,7 @@ class ShiftWithFaults:
         now_mm = self._station.axis.position_mm
         self._station.world.sleep_s(10.0)
         moved_mm = max(moved_mm, abs(self._station.axis.position_mm - now_mm))
-        self._seen["stops after which it moved by itself"] += moved_mm > MOVED_MM
+        self._counts["stops after which it moved by itself"] += moved_mm > MOVED_MM
         if moved_mm > MOVED_MM:
             print(f"moved by {moved_mm:.3f} mm: {fault}")
 

@@ -116,16 +116,16 @@ def _press(press: Callable[..., None], spoil: Spoil, seed: int, late_s: float) -
 
 def _spoil_one(wire: object, spoil: Spoil, rng: np.random.Generator, nth: int) -> None:
     """Spoil the nth line that moves the stage, where it comes to the controller."""
-    receive, left = wire.receive, [nth]  # type: ignore[attr-defined]
+    receive, remaining = wire.receive, [nth]  # type: ignore[attr-defined]
 
-    def spoilt() -> bytes:
+    def spoil_answer() -> bytes:
         def once(match: re.Match[bytes]) -> bytes:
-            left[0] -= 1
-            return spoil(match[0], rng) if left[0] == 0 else match[0]
+            remaining[0] -= 1
+            return spoil(match[0], rng) if remaining[0] == 0 else match[0]
 
         return re.sub(rb"G90[^\n]*\n", once, receive())
 
-    wire.receive = spoilt  # type: ignore[attr-defined]
+    wire.receive = spoil_answer  # type: ignore[attr-defined]
 
 
 def _feed(bench, late_s, rng) -> None:  # type: ignore[no-untyped-def]

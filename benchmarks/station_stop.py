@@ -77,8 +77,8 @@ class Rig:
 
     def is_ready(self) -> bool:
         """Whether a run may be ordered."""
-        beat = self.registry.order_queue.heartbeat(STATION)
-        return beat is not None and beat.state is StationState.READY and not beat.order_id
+        heartbeat = self.registry.order_queue.heartbeat(STATION)
+        return heartbeat is not None and heartbeat.state is StationState.READY and not heartbeat.order_id
 
 
 def main() -> None:
@@ -96,9 +96,9 @@ def main() -> None:
         url = f"sqlite:///{folder}/r.db"
         with open_registry(url) as registry, serving(registry, Path(folder)) as rig:
             registry.lots.add(Lot(LOT, "A0", 50.0))
-            way = pressed_key(url) if options.browser else sent_key(url) if options.request else placed(rig)
-            with loaded(options.load), way as tell, busy(options.writer, url):
-                report([(phase, [stop_in(rig, phase, tell) for _ in range(options.rounds)]) for phase in PHASES])
+            way = pressed_key(url) if options.browser else sent_key(url) if options.request else place_order(rig)
+            with loaded(options.load), way as stop, busy(options.writer, url):
+                report([(phase, [stop_in(rig, phase, stop) for _ in range(options.rounds)]) for phase in PHASES])
 
 
 @contextmanager
@@ -111,8 +111,8 @@ def serving(registry: Registry, folder: Path) -> Iterator[Rig]:
         hooks = Hooks(report, is_stop_requested, lambda kind, facts: Gate())
         return StationService(rig.open, {OrderKind.UNIT: profile}, folder, hooks)
 
-    keeper = RunStore(registry, STATION)
-    host = StationHost(registry.order_queue, STATION, keeper, lambda actor, why: None, service)
+    store = RunStore(registry, STATION)
+    host = StationHost(registry.order_queue, STATION, store, lambda actor, why: None, service)
     thread = threading.Thread(target=lambda: host.run(lambda: not is_over.is_set()))
     thread.start()
     try:
@@ -124,7 +124,7 @@ def serving(registry: Registry, folder: Path) -> Iterator[Rig]:
 
 
 @contextmanager
-def placed(rig: Rig) -> Iterator[Callable[[], None]]:
+def place_order(rig: Rig) -> Iterator[Callable[[], None]]:
     """Tell the station by an order."""
     yield lambda: None if rig.order(OrderKind.STOP) else None
 
@@ -165,7 +165,7 @@ def loaded(count: int) -> Iterator[None]:
 
 
 @contextmanager
-def busy(is_wanted: bool, url: str) -> Iterator[None]:
+def busy(is_busy: bool, url: str) -> Iterator[None]:
     """Keep another connection writing, as a batch does: half a second of lock, then a tenth free."""
     is_over = threading.Event()
 
@@ -176,17 +176,17 @@ def busy(is_wanted: bool, url: str) -> Iterator[None]:
                     time.sleep(0.5)
 
     writer = threading.Thread(target=write)
-    if is_wanted:
+    if is_busy:
         writer.start()
     try:
         yield
     finally:
         is_over.set()
-        if is_wanted:
+        if is_busy:
             writer.join()
 
 
-def stop_in(rig: Rig, phase: str, tell: Callable[[], None]) -> float:
+def stop_in(rig: Rig, phase: str, stop: Callable[[], None]) -> float:
     """Order a run, stop it in this phase, acknowledge; return the seconds from being told to the stop byte."""
     run = run_in(rig, phase)
     time.sleep(np.random.default_rng().uniform(0.0, 0.2))
@@ -196,10 +196,10 @@ def stop_in(rig: Rig, phase: str, tell: Callable[[], None]) -> float:
     station.stage.stop_received_s = None
     began_s = time.monotonic()
     is_there = (lambda: station.stage.stop_received_s is not None, "the stop byte")
-    told = threading.Thread(target=rig.until, args=is_there)
-    told.start()
-    tell()
-    told.join()
+    waiting = threading.Thread(target=rig.until, args=is_there)
+    waiting.start()
+    stop()
+    waiting.join()
     took_s = time.monotonic() - began_s
     rig.until(lambda: not rig.progress(run).state.is_active, "the end of the run")
     acknowledge(rig)

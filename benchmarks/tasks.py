@@ -38,7 +38,7 @@ UNITS, DEMO = 14, "demo"
 LOT = f"{datetime.now().astimezone():%G-%V}"
 """The name that a new lot has where nobody gives one."""
 
-PATIENCE_MS = 420_000
+TIMEOUT_MS = 420_000
 YIELD = re.compile("First pass|Total yield")
 
 
@@ -59,9 +59,9 @@ class Hand:
     def click(self, name: str, exact: bool = False) -> None:
         """Press what has this name."""
         self.clicks += 1
-        found = self.page.get_by_role("button", name=name, exact=exact).first
-        found.wait_for(timeout=PATIENCE_MS)
-        found.click()
+        button = self.page.get_by_role("button", name=name, exact=exact).first
+        button.wait_for(timeout=TIMEOUT_MS)
+        button.click()
 
     def fill(self, label: str, text: str, exact: bool = False) -> None:
         """Fill a field."""
@@ -95,29 +95,29 @@ class Hand:
 
     def take(self, name: str) -> bytes:
         """Take a file along and return it; an empty one is none."""
-        with self.page.expect_download(timeout=PATIENCE_MS) as held:
+        with self.page.expect_download(timeout=TIMEOUT_MS) as download:
             self.click(name)
-        taken = held.value.path().read_bytes()
-        if not taken:
+        content = download.value.path().read_bytes()
+        if not content:
             raise PlaywrightError(f"{name}: the file is empty")
-        return taken
+        return content
 
     def sees(self, text: str | re.Pattern[str]) -> Locator:
         """Wait until a text stands there."""
-        found = self.page.get_by_text(text).first
-        found.wait_for(timeout=PATIENCE_MS)
-        return found
+        element = self.page.get_by_text(text).first
+        element.wait_for(timeout=TIMEOUT_MS)
+        return element
 
     def card(self, *states: str) -> str:
         """Wait for a card of the line in one of these states; return which."""
-        found = self.page.locator(", ".join(f".sc-card[data-state={state}]" for state in states)).first
-        found.wait_for(timeout=PATIENCE_MS)
-        return str(found.get_attribute("data-state"))
+        card = self.page.locator(", ".join(f".sc-card[data-state={state}]" for state in states)).first
+        card.wait_for(timeout=TIMEOUT_MS)
+        return str(card.get_attribute("data-state"))
 
     def settled(self) -> None:
         """Wait until the page is drawn: nobody types into what is being drawn anew."""
         self.page.wait_for_timeout(250)
-        self.page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=PATIENCE_MS)
+        self.page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=TIMEOUT_MS)
 
 
 def first_account(hand: Hand) -> None:
@@ -128,7 +128,7 @@ def first_account(hand: Hand) -> None:
     hand.fill("The same PIN again", "7350")
     hand.fill("Reason", "second person comes")
     hand.click("Save")
-    hand.page.get_by_label("PIN", exact=True).wait_for(timeout=PATIENCE_MS)
+    hand.page.get_by_label("PIN", exact=True).wait_for(timeout=TIMEOUT_MS)
 
 
 def add_engineer(hand: Hand) -> None:
@@ -145,7 +145,7 @@ def add_engineer(hand: Hand) -> None:
 def try_demo(hand: Hand) -> None:
     hand.open("lots")
     hand.click("Try the demo")
-    hand.page.wait_for_url("**/lot*", timeout=PATIENCE_MS)
+    hand.page.wait_for_url("**/lot*", timeout=TIMEOUT_MS)
     hand.sees(YIELD)
 
 
@@ -157,7 +157,7 @@ def new_lot(hand: Hand, files: Path) -> None:
     hand.sees("This limit is agreed").click()
     hand.settled()
     hand.click("Store the lot and calibrate")
-    hand.page.wait_for_url("**/lot*", timeout=PATIENCE_MS)
+    hand.page.wait_for_url("**/lot*", timeout=TIMEOUT_MS)
     hand.sees(YIELD)
 
 
@@ -165,8 +165,8 @@ def certificate(hand: Hand) -> None:
     """From the lot's page, where the job before ended: its release, the archive of all files, and take it."""
     hand.open(f"lot?lot={LOT}&tab=release")
     hand.click("Pack the lot into one archive")
-    with zipfile.ZipFile(io.BytesIO(hand.take("Take the archive"))) as taken:
-        if not any(name.endswith(".pdf") for name in taken.namelist()):
+    with zipfile.ZipFile(io.BytesIO(hand.take("Take the archive"))) as archive:
+        if not any(name.endswith(".pdf") for name in archive.namelist()):
             raise PlaywrightError("the archive holds no certificate")
 
 
@@ -183,8 +183,8 @@ def audit(hand: Hand, files: Path) -> None:
     hand.click("Draw", exact=True)
     hand.sees("to be measured")
     hand.settled()
-    drawn = set(re.findall(r"\bU\d{3}\b", hand.page.locator("[data-testid=stMain]").inner_text()))
-    hand.drop([file for file in sorted(files.glob("audit/*.csv")) if file.stem in drawn])
+    serials = set(re.findall(r"\bU\d{3}\b", hand.page.locator("[data-testid=stMain]").inner_text()))
+    hand.drop([file for file in sorted(files.glob("audit/*.csv")) if file.stem in serials])
     hand.click("Score")
     hand.sees("The recordings were scored")
 
@@ -193,7 +193,7 @@ def look_at_unit(hand: Hand) -> None:
     hand.open(f"lot?lot={LOT}")
     hand.clicks += 1
     hand.page.get_by_role("tab", name="Units").click()
-    hand.page.get_by_test_id("stDataFrame").last.wait_for(timeout=PATIENCE_MS)
+    hand.page.get_by_test_id("stDataFrame").last.wait_for(timeout=TIMEOUT_MS)
     hand.clicks += 1
     hand.page.get_by_test_id("stDataFrame").last.click(position={"x": 18, "y": 55})
     hand.sees("Why this verdict")
@@ -245,9 +245,9 @@ def stop_and_read(hand: Hand) -> None:
     hand.card("hand", "ready", "armed", "closed")
 
 
-def watch_wall(hand: Hand) -> None:
+def look_at_wall(hand: Hand) -> None:
     hand.open(f"line?wall&lot={LOT}")
-    hand.page.locator(".sw-tile b").first.wait_for(timeout=PATIENCE_MS)
+    hand.page.locator(".sw-tile b").first.wait_for(timeout=TIMEOUT_MS)
 
 
 def who_changed_the_limit(hand: Hand) -> None:
@@ -274,7 +274,7 @@ def sign_in(hand: Hand, name: str) -> None:
     hand.page.get_by_label("Name").fill(name)
     hand.page.get_by_label("PIN", exact=True).fill(PEOPLE[name][0])
     hand.page.keyboard.press("Enter")
-    hand.page.get_by_role("heading", name=name).wait_for(timeout=PATIENCE_MS)
+    hand.page.get_by_role("heading", name=name).wait_for(timeout=TIMEOUT_MS)
     while not any("session" in cookie["name"] for cookie in hand.page.context.cookies()):
         hand.page.wait_for_timeout(200)
 
@@ -294,7 +294,7 @@ def jobs(folder: Path) -> Iterator[tuple[str, str, str, Callable[[Hand], object]
     yield "engineer", "Erin", "start a simulated station", begin_station
     yield "operator", "", "badge, lot, scan, press, verdict", press_units
     yield "operator", "", "stop a run, read it, go on", stop_and_read
-    yield "operator", "", "the lot at one glance", watch_wall
+    yield "operator", "", "the lot at one glance", look_at_wall
     yield "auditor", "Quinn", "what is released, with the statement", release
     yield (
         "auditor",
@@ -330,12 +330,12 @@ def simulated_station_ended(root: Path) -> Iterator[None]:
         yield
     finally:
         with open_registry(f"sqlite:///{root / 'registry.db'}") as registry:
-            for beat in registry.order_queue.stations():
+            for heartbeat in registry.order_queue.stations():
                 with suppress(ProcessLookupError):
-                    os.kill(int(beat.process.rpartition(":")[2]), signal.SIGTERM)
+                    os.kill(int(heartbeat.process.rpartition(":")[2]), signal.SIGTERM)
 
 
-def done(browser: Browser, address: str, who: str, job: Callable[[Hand], object], picture: Path | None) -> tuple:
+def do_task(browser: Browser, address: str, who: str, job: Callable[[Hand], object], picture: Path | None) -> tuple:
     """Do one job in a new browser; return clicks, seconds and what went wrong."""
     context = browser.new_context(viewport={"width": 1280, "height": 1000}, accept_downloads=True)
     hand = Hand(context.new_page(), address)
@@ -362,8 +362,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.pictures:
         options.pictures.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="softcal-tasks-", ignore_cleanup_errors=True) as place:
-        root = Path(place)
+    with tempfile.TemporaryDirectory(prefix="softcal-tasks-", ignore_cleanup_errors=True) as folder:
+        root = Path(folder)
         write_files(root / "files")
         with server(root) as (address, _), simulated_station_ended(root), chromium() as browser:
             rows = []
@@ -371,7 +371,7 @@ def main() -> None:
                 if options.only and number not in options.only:
                     continue
                 picture = options.pictures and options.pictures / f"task-{number:02d}.png"
-                clicks, seconds, end = done(browser, address, who, job, picture)
+                clicks, seconds, end = do_task(browser, address, who, job, picture)
                 rows.append((number, role, what, clicks, f"{seconds:.0f}", end))
                 print(rows[-1], file=sys.stderr, flush=True)
             print_table(("", "who", "job", "clicks", "s", "end"), rows)

@@ -78,16 +78,18 @@ def main() -> None:
     config = NetworkConfig(hidden=tuple(map(int, options.hidden.split(","))), seed=options.seed)
     units = read_units(options.lot, config)
     methods = unlabelled() | {f"{n}, {k} labels": m for k in options.labels for n, m in labelled(k).items()}
-    own = {serial: own_error(unit.train, unit.test, config) for serial, unit in units.items()}
-    scores = {name: {s: score(method, unit, own[s]) for s, unit in units.items()} for name, method in methods.items()}
-    report(scores, own, next(iter(units.values())).test.reference_unit)
+    own_rmse = {serial: own_error(unit.train, unit.test, config) for serial, unit in units.items()}
+    scores = {
+        name: {s: score(method, unit, own_rmse[s]) for s, unit in units.items()} for name, method in methods.items()
+    }
+    report(scores, own_rmse, next(iter(units.values())).test.reference_unit)
     if options.figure:
         options.figure.write_text(figure(scores).to_html(include_plotlyjs=True), encoding="utf-8")
 
 
-def read_units(place: Path, config: NetworkConfig) -> dict[str, Unit]:
+def read_units(source_folder: Path, config: NetworkConfig) -> dict[str, Unit]:
     """Read the units that have an audit, with f trained on the lot's source."""
-    folder = open_lot_folder(place)
+    folder = open_lot_folder(source_folder)
     source = folder.read_source()
     network, units = fit_network(source, config).network, {}
     for serial in folder.unit_paths:
@@ -99,7 +101,7 @@ def read_units(place: Path, config: NetworkConfig) -> dict[str, Unit]:
         problem = FitProblem(source, network, recording, seed=config.seed)
         units[serial] = Unit(problem, audit.part(0, cut), audit.part(cut, len(audit)))
     if not units:
-        raise SystemExit(f"{place}: no unit has an audit, so no error can be measured")
+        raise SystemExit(f"{source_folder}: no unit has an audit, so no error can be measured")
     return units
 
 
@@ -141,7 +143,7 @@ def labelled(count: int) -> dict[str, Callable[[Unit], Array]]:
     return methods
 
 
-def drawn(unit: Unit, count: int) -> tuple[Array, Array]:
+def draw_unit(unit: Unit, count: int) -> tuple[Array, Array]:
     """Windows and loads of the unit, (count, 15) and (count,), spread evenly over the loads it was trained under."""
     order = np.argsort(unit.train.window_reference, kind="stable")
     rows = order[np.linspace(0, len(order) - 1, count).round().astype(int)]
@@ -150,7 +152,7 @@ def drawn(unit: Unit, count: int) -> tuple[Array, Array]:
 
 def affine(unit: Unit, count: int) -> Array:
     """Gain and offset of the output: a line through what the unit and the source read under the same known loads."""
-    windows, load = drawn(unit, count)
+    windows, load = draw_unit(unit, count)
     gain, offset = np.polyfit(windows.mean(axis=1), partners(unit, windows, load).mean(axis=1), 1)
     return unit.problem.network.evaluate(offset + gain * np.array(unit.test.windows))
 
@@ -166,7 +168,7 @@ def standardised(name: str, count: int) -> Callable[[Unit], Array]:
             "PDS": lambda: adaptation.PiecewiseDirectStandardization(window_length=5, n_components=2),
             "SST": lambda: adaptation.SpectralSpaceTransform(n_components=COMPONENTS),
         }
-        windows, load = drawn(unit, count)
+        windows, load = draw_unit(unit, count)
         model = makers[name]().fit(windows, X_source=partners(unit, windows, load))
         return unit.problem.network.evaluate(np.asarray(model.transform(np.array(unit.test.windows))))
 
@@ -186,7 +188,7 @@ def partners(unit: Unit, windows: Array, load: Array) -> Array:
     return np.array(source.windows[nearest])
 
 
-def score(method: Callable[[Unit], Array], unit: Unit, own: float) -> Score | str:
+def score(method: Callable[[Unit], Array], unit: Unit, own_rmse: float) -> Score | str:
     """Run one method on one unit; a line that says why where it gives no estimate."""
     started_s = time.process_time()
     try:
@@ -199,32 +201,42 @@ def score(method: Callable[[Unit], Array], unit: Unit, own: float) -> Score | st
         return str(error).splitlines()[0]
     if not np.isfinite(estimate).all():
         return "refused, or not finite"
-    return Score(rmse(estimate, unit.test.window_reference) / own, time.process_time() - started_s)
+    return Score(rmse(estimate, unit.test.window_reference) / own_rmse, time.process_time() - started_s)
 
 
-def report(scores: Mapping[str, Mapping[str, Score | str]], own: Mapping[str, float], unit: str) -> None:
+def report(scores: Mapping[str, Mapping[str, Score | str]], own_rmse: Mapping[str, float], unit: str) -> None:
     """Print the table, best median first, and what gave no estimate."""
-    print(f"{len(own)} units. Own calibration: {min(own.values()):.4g} to {max(own.values()):.4g} {unit}.\n")
+    print(
+        f"{len(own_rmse)} units. "
+        f"Own calibration: {min(own_rmse.values()):.4g} to {max(own_rmse.values()):.4g} {unit}.\n"
+    )
     rows: list[tuple[str, str, float, float, float, float]] = []
     for name, by_serial in scores.items():
-        if found := [s for s in by_serial.values() if isinstance(s, Score)]:
-            middle, high, worst = summary(s.ratio for s in found)
+        if scored := [s for s in by_serial.values() if isinstance(s, Score)]:
+            middle, high, worst = summary(s.ratio for s in scored)
             rows.append(
-                (name, f"{len(found)}/{len(own)}", middle, high, worst, float(np.mean([s.seconds for s in found])))
+                (
+                    name,
+                    f"{len(scored)}/{len(own_rmse)}",
+                    middle,
+                    high,
+                    worst,
+                    float(np.mean([s.seconds for s in scored])),
+                )
             )
     head = ("method", "units", "median after / own", "95 %", "worst", "processor seconds a unit")
     rows.sort(key=lambda row: row[2])
     print_table(head, rows)
     for name, by_serial in scores.items():
         for why in sorted({s for s in by_serial.values() if isinstance(s, str)}):
-            print(f"- {name}: {why} ({sum(s == why for s in by_serial.values())} of {len(own)} units)")
+            print(f"- {name}: {why} ({sum(s == why for s in by_serial.values())} of {len(own_rmse)} units)")
 
 
 def figure(scores: Mapping[str, Mapping[str, Score | str]]) -> go.Figure:
     """Error over own, unit by unit, best method first, on a logarithmic axis as in the paper's figures."""
     drawn_figure = go.Figure()
-    found = {n: {k: s.ratio for k, s in row.items() if isinstance(s, Score)} for n, row in scores.items()}
-    for name, ratios in sorted(found.items(), key=lambda item: np.median([*item[1].values(), np.inf])):
+    ratios_by_method = {n: {k: s.ratio for k, s in row.items() if isinstance(s, Score)} for n, row in scores.items()}
+    for name, ratios in sorted(ratios_by_method.items(), key=lambda item: np.median([*item[1].values(), np.inf])):
         drawn_figure.add_scatter(x=list(ratios), y=list(ratios.values()), mode="markers", name=name)
     drawn_figure.add_hline(y=1.0, line_dash="dash", annotation_text="calibration of the unit's own")
     drawn_figure.update_yaxes(type="log", title="error / error of an own calibration")

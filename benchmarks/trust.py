@@ -106,7 +106,7 @@ def by_lot(units: Iterable[FittedUnit]) -> Lots:
 
 def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK) -> dict[str, list[Draw]]:
     """Release every lot on this many audits, drawn `draws` times; a lot with nothing left over is left out."""
-    rng, found = np.random.default_rng(0), dict[str, list[Draw]]()
+    rng, draws_by_kind = np.random.default_rng(0), dict[str, list[Draw]]()
     for (kind, _), units in lots.items():
         candidates = [u for u in units if not u.is_vetoed]
         for _ in range(draws):
@@ -115,23 +115,23 @@ def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK)
             # Units with a finding against them are not released; they count as unmeasured all the same.
             others = len(units) - len(candidates)
             if rest or others:
-                found.setdefault(kind, []).append(_draw(audited, rest, others, ReleaseConfig(risk=risk)))
-    return found
+                draws_by_kind.setdefault(kind, []).append(_draw(audited, rest, others, ReleaseConfig(risk=risk)))
+    return draws_by_kind
 
 
 def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int, config: ReleaseConfig) -> Draw:
     audited, rest = _corrected(audited, rest)
-    held = sum(u.truth <= u.limit for u in audited)
+    within_limit = sum(u.truth <= u.limit for u in audited)
     decision = release(
         {u.serial: u.forecast for u in rest},
         [AuditedUnit(u.serial, u.forecast, u.truth) for u in audited],
         Limit("N", next((u.limit for u in rest), 1.0)),
         config,
-        min_passing(len(audited) + len(rest) + others, held, config),
+        min_passing(len(audited) + len(rest) + others, within_limit, config),
     )
     released = [u for u in rest if u.serial in decision.released]
-    widening = fit_interval_inflation([u.samples for u in audited], 0.9, config) if audited else IntervalInflation()
-    share = {u.serial: covered(u, widening) for u in rest}
+    inflation = fit_interval_inflation([u.samples for u in audited], 0.9, config) if audited else IntervalInflation()
+    share = {u.serial: covered(u, inflation) for u in rest}
     return Draw(
         len(rest) + others,
         sum(u.truth <= u.limit for u in rest),
@@ -331,8 +331,8 @@ def draw_figure(lots: Lots, file: Path) -> None:
         good = [100 * sum(d.released - d.beyond for d in run) / max(sum(d.good for d in run), 1) for run in runs]
         beyond = [100 * sum(d.beyond for d in run) / max(r, 1) for r, run in zip(released, runs, strict=True)]
         traces += [(1, counts, good, label, colour, "solid"), (2, counts, beyond, label, colour, "solid")]
-    promised = [100 * max(RISK, min_risk(n)) for n in counts]
-    traces.append((2, counts, promised, "risk promised", "#333333", "dash"))
+    promised_pct = [100 * max(RISK, min_risk(n)) for n in counts]
+    traces.append((2, counts, promised_pct, "risk promised", "#333333", "dash"))
     titles = ("released, % of the good unmeasured units", "beyond the limit, % of the released")
     figure = make_subplots(1, 2, subplot_titles=titles)
     for column, x, y, name, colour, dash in traces:

@@ -51,9 +51,14 @@ def print_report(units: list[Case]) -> None:
     print_table(("kind", "units", "refused", *VERDICTS, "median after / own", *harms), kinds)
     print_other_scores(units)
     paired = [c for c in good if is_paired(c)]
-    placed = [c for c in good if c.has_stage and not is_paired(c)]
+    stage_matched = [c for c in good if c.has_stage and not is_paired(c)]
     blind = [c for c in good if not (c.has_stage or is_paired(c))]
-    for name, group in {"all": good, "paired in time": paired, "stage known": placed, "nothing pairs": blind}.items():
+    for name, group in {
+        "all": good,
+        "paired in time": paired,
+        "stage known": stage_matched,
+        "nothing pairs": blind,
+    }.items():
         if group:
             print_log_ratio(name, group)
 
@@ -85,7 +90,7 @@ def group_row(name: str, group: list[Case]) -> tuple[object, ...]:
 
 
 def kind_row(kind: str, group: list[Case]) -> tuple[object, ...]:
-    words = Counter(c.calibration.decision.verdict for c in group if c.calibration is not None)
+    verdicts = Counter(c.calibration.decision.verdict for c in group if c.calibration is not None)
     refused = sum(c.calibration is None for c in group)
     ratios = [c.after / c.own for c in group if c.calibration is not None]
     passed = [c for c in group if c.calibration is not None and c.calibration.decision.verdict == "pass"]
@@ -95,7 +100,7 @@ def kind_row(kind: str, group: list[Case]) -> tuple[object, ...]:
         sum(c.after > c.before for c in passed),
     )
     median = f"{np.median(ratios):.2f}" if ratios else "-"
-    return kind, len(group), refused, *(words[word] for word in VERDICTS), median, *harms
+    return kind, len(group), refused, *(verdicts[word] for word in VERDICTS), median, *harms
 
 
 def print_fit(units: list[Case]) -> None:
@@ -114,16 +119,16 @@ def print_fit(units: list[Case]) -> None:
         # Good units stand near the limit, where the forecast decides; planted ones need only be far beyond it.
         weight = np.where([c.kind == GOOD for c in group], 3.0, 1.0)
         after = np.array([c.after for c in group])
-        found, residual = fit(budgets(group, "model"), budgets(group, *names), after, weight)
-        print(f"{name}.sensitivity = {listed(names, found)}")
+        coefficients, residual = fit(budgets(group, "model"), budgets(group, *names), after, weight)
+        print(f"{name}.sensitivity = {listed(names, coefficients)}")
         low, high = np.quantile(residual[[c.kind == GOOD for c in group]], (0.025, 0.975))
         print(f"{name}.log_error = ({low:.2f}, {high:.2f})  # {len(group)} units, SD of all {np.std(residual):.2f}")
     paired = [c for c in mapped if is_paired(c)]
     for name, group in (("blind", unplaced), ("stage", on_stage), ("paired", paired)):
         names = COEFFICIENTS[name]
-        terms, own = own_terms(group, *names), np.array([c.own for c in group])
-        found, residual = fit(np.zeros((len(group), 1)), terms, own, np.ones(len(group)), LARGEST_OWN)
-        print(f"{name}.own = {listed(names, found)}  # {len(group)} units, SD of all {np.std(residual):.2f}")
+        terms, own_rmse = own_terms(group, *names), np.array([c.own for c in group])
+        coefficients, residual = fit(np.zeros((len(group), 1)), terms, own_rmse, np.ones(len(group)), LARGEST_OWN)
+        print(f"{name}.own = {listed(names, coefficients)}  # {len(group)} units, SD of all {np.std(residual):.2f}")
 
 
 def is_paired(case: Case) -> bool:

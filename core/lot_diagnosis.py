@@ -34,11 +34,11 @@ class UnitSearch:
     """χ² of every fit, and what its parameters cost."""
 
     @classmethod
-    def of(cls, fits: Fits) -> "UnitSearch":
+    def from_fits(cls, fits: Fits) -> "UnitSearch":
         """Take what is needed from fits under one noise level."""
         fits_by_ids = {ids: (one.hypothesis, one.coordinates) for ids, one in fits.items()}
         costs = {ids: (one.chi2, penalty(one)) for ids, one in fits.items()}
-        return cls(fits[()].problem, Yardstick.of(fits.values()), dict(log_evidences(fits)), fits_by_ids, costs)
+        return cls(fits[()].problem, Yardstick.from_fits(fits.values()), dict(log_evidences(fits)), fits_by_ids, costs)
 
     @property
     def top(self) -> float:
@@ -178,7 +178,7 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     searches: dict[str, UnitSearch] = {}
     every: list[UnitSearch] = []
     for number, (name, case) in enumerate(cases.items(), start=1):
-        alone[name] = diagnosis = diagnose(case, on_fits=lambda fits: every.append(UnitSearch.of(fits)))
+        alone[name] = diagnosis = diagnose(case, on_fits=lambda fits: every.append(UnitSearch.from_fits(fits)))
         if diagnosis.verdict != "data":
             searches[name] = every[-1]
         causes = " + ".join(diagnosis.best.ids) or "no cause"
@@ -193,14 +193,14 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     logs = joint_logs(following, votes) if following else votes
     method = next(iter(searches.values())).problem.method
     open_causes = [_find_surrogates(alone[name], one) for name, one in searches.items()]
-    best, competing_hypotheses, surrogates = _best(logs, open_causes, method.rival)
+    best, competing_hypotheses, surrogates = _best(logs, open_causes, method.competing)
     members = tuple(_member(name, one, searches.get(name), best) for name, one in alone.items())
     verdict = _verdict(best, competing_hypotheses, members)
     # Where nothing explains the units, the truth is most likely none of the causes compared.
     trust = method.verdict.unknown_trust if verdict == "unknown" else 1.0
     chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
     probability = {
-        i: p * trust * (method.verdict.imitated_trust if i in surrogates else 1.0) for i, p in chances.items()
+        i: p * trust * (method.verdict.surrogate_trust if i in surrogates else 1.0) for i, p in chances.items()
     }
     return LotDiagnosis(
         verdict, best, competing_hypotheses, probability, logs, ruled_out, members, method.evidence.stray_odds
@@ -235,7 +235,7 @@ def lot_logs(searches: Sequence[UnitSearch]) -> tuple[dict[Ids, float], int]:
     bounds = {ids: _pooled(searches, ids) for ids in every}
     logs: dict[Ids, float] = {}
     for ids in sorted(every, key=lambda i: (-bounds[i], i)):
-        if logs and bounds[ids] < max(logs.values()) - searches[0].problem.method.rival.negligible:
+        if logs and bounds[ids] < max(logs.values()) - searches[0].problem.method.competing.negligible:
             continue
         donor = max((one for one in searches if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
         for one in searches:
@@ -263,14 +263,14 @@ def _best(
     surrogates = {i for i in top if 2 * sum(i in causes for causes in open_causes) >= len(open_causes)}
     smaller = tuple(i for i in top if i not in surrogates)
     if surrogates and smaller in logs:
-        return smaller, (smaller, *in_play)[: config.most], surrogates
-    return top, tuple(in_play[: config.most]) if top else (top,), set()
+        return smaller, (smaller, *in_play)[: config.max_hypotheses], surrogates
+    return top, tuple(in_play[: config.max_hypotheses]) if top else (top,), set()
 
 
 def _find_surrogates(one: Diagnosis[TwinModel], searches: UnitSearch) -> set[str]:
     """Return the causes that a free form of the others imitates in a unit, though likelier."""
     ids = one.best.ids
-    every = [rival.ids for rival in one.competing_hypotheses[1:] if set(rival.ids) > set(ids)]
+    every = [competitor.ids for competitor in one.competing_hypotheses[1:] if set(competitor.ids) > set(ids)]
     larger = [other for other in every if searches.logs[other] > searches.logs[ids]]
     return {i for other in larger for i in other if i not in ids}
 

@@ -203,7 +203,7 @@ BUILT_IN: Mapping[str, Callable[[Rng, float], Profile]] = {
 """The profiles there are, by name, for a depth in mm; any other is a file of moves."""
 
 
-def pressed(name: str) -> Reason:
+def describe_profile(name: str) -> Reason:
     """Return the name of a profile, as a recording keeps it, in words to be translated."""
     match = NAME_AND_SIZE.fullmatch(name)
     if match is None:

@@ -49,7 +49,7 @@ class UnitKind:
 class SteadyLine:
     """What the line does to the units' recordings and not to their audits: here nothing."""
 
-    def pressed(self, rng: Rng, twin: Twin) -> Twin:
+    def press_unit(self, rng: Rng, twin: Twin) -> Twin:
         """Return the unit as the press of the line meets it."""
         return twin
 
@@ -129,8 +129,8 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
         unit_twin, serial = kind.twin(rng, twin), f"U{k:03d}"
         profile = programme(rng, design.unit_s)
         profile = kind.profile(rng) if kind.profile else profile
-        pressed = design.line.pressed(rng, unit_twin)
-        recording = _record(rng, pressed, profile, serial, design.has_stage)
+        unit_pressed = design.line.press_unit(rng, unit_twin)
+        recording = _record(rng, unit_pressed, profile, serial, design.has_stage)
         audit = audited(rng, unit_twin, design.audit_s, serial)
         units.append((kind, kind.wired(recording).unlabelled, kind.wired(audit)))
     later = np.random.default_rng([seed, GOLDEN])

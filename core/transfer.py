@@ -8,9 +8,9 @@ import numpy as np
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import CalibrationGap, Diagnosis
+from softcal.core.gap.fault_location import explained_twin
 from softcal.core.gap.fit import fit
 from softcal.core.gap.model import Fit
-from softcal.core.gap.places import explained_twin
 from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
@@ -86,11 +86,13 @@ class Transfer:
     def to_record(self) -> dict[str, object]:
         """Return JSON values, schema `softcal.transfer/1`."""
         errors = {name: {"base": b, "explained": e} for name, _, _, _, b, e in self.rows()}
-        places = {k: asdict(getattr(self, k)) | {"after_by_own": getattr(self, k).after_by_own} for k in _PLACES}
-        return {"schema": "softcal.transfer/1", "units": self.units, **places, "relative_error": errors}
+        errors_of_twins = {
+            k: asdict(getattr(self, k)) | {"after_by_own": getattr(self, k).after_by_own} for k in _TWINS
+        }
+        return {"schema": "softcal.transfer/1", "units": self.units, **errors_of_twins, "relative_error": errors}
 
 
-_PLACES = ("rig", "base", "explained")
+_TWINS = ("rig", "base", "explained")
 
 
 def transfer(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from softcal.db.access.tokens import TokenTable
     from softcal.db.entries import Anchor
     from softcal.db.queues.job_board import JobBoard
-    from softcal.db.queues.order_queue import LinePlaces, OrderQueue
+    from softcal.db.queues.order_queue import LineSessions, OrderQueue
     from softcal.db.queues.outbox import Outbox
     from softcal.db.queues.work_queue import WorkQueue
     from softcal.db.repositories.adaptations import AdaptationTables
@@ -64,7 +64,7 @@ class Registry(RegistryBase):
     trail: AuditTrail = _part("repositories.trail", "AuditTrail")
     work_queue: WorkQueue = _part("queues.work_queue", "WorkQueue")
     order_queue: OrderQueue = _part("queues.order_queue", "OrderQueue")
-    line_places: LinePlaces = _part("queues.order_queue", "LinePlaces")
+    line_sessions: LineSessions = _part("queues.order_queue", "LineSessions")
     job_board: JobBoard = _part("queues.job_board", "JobBoard")
     outbox: Outbox = _part("queues.outbox", "Outbox")
 

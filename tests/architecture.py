@@ -8,19 +8,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs/images/architecture.svg"
-SAYS = {
+CAPTIONS = {
     "app": "commands, screens, files, services",
     "db": "the registry: lots, units, maps, audit trail",
     "station": "stage, load cell, readout: all that has a wire",
     "core": "numbers in, numbers out: no file, port or clock",
 }
-PLACES = {
+BOXES = {
     "app": (20, 20, 920, 120),
     "db": (20, 200, 440, 90),
     "station": (500, 200, 440, 90),
     "core": (20, 350, 920, 90),
 }
-USES = {
+ARROWS = {
     ("app", "db"): (240, 140, 240, 200),
     ("app", "station"): (720, 140, 720, 200),
     ("app", "core"): (480, 140, 480, 350),
@@ -30,19 +30,19 @@ USES = {
 """Where the arrow of each allowed use runs."""
 
 
-def rooms(folder: str) -> list[str]:
+def packages_of(folder: str) -> list[str]:
     """Return the packages of a top folder."""
     return sorted(path.parent.name for path in (ROOT / folder).glob("*/__init__.py"))
 
 
-def uses() -> set[tuple[str, str]]:
+def find_imports() -> set[tuple[str, str]]:
     """Return which top folder imports another: (from, to)."""
-    found = set()
-    for folder in SAYS:
+    imports = set()
+    for folder in CAPTIONS:
         for path in (ROOT / folder).rglob("*.py"):
-            named = [n for node in ast.walk(ast.parse(path.read_text("utf-8"))) for n in _imported(node)]
-            found |= {(folder, n.split(".")[1]) for n in named if n.startswith("softcal.")}
-    return {(folder, to) for folder, to in found if to in SAYS and to != folder}
+            modules = [n for node in ast.walk(ast.parse(path.read_text("utf-8"))) for n in _imported(node)]
+            imports |= {(folder, n.split(".")[1]) for n in modules if n.startswith("softcal.")}
+    return {(folder, to) for folder, to in imports if to in CAPTIONS and to != folder}
 
 
 def _imported(node: ast.AST) -> list[str]:
@@ -57,8 +57,8 @@ def picture() -> str:
     Raises:
         KeyError: the code has a use for which no arrow is drawn.
     """
-    parts = [_arrow(*USES[pair]) for pair in sorted(uses())]
-    parts += [_box(folder, *place) for folder, place in PLACES.items()]
+    parts = [_arrow(*ARROWS[pair]) for pair in sorted(find_imports())]
+    parts += [_box(folder, *box) for folder, box in BOXES.items()]
     style = "font-family='sans-serif' fill='#1a1a1a'"
     return f"<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 960 460' {style}>\n{''.join(parts)}</svg>\n"
 
@@ -71,11 +71,11 @@ def _arrow(x: int, y: int, to_x: int, to_y: int) -> str:
 
 def _box(folder: str, x: int, y: int, width: int, height: int) -> str:
     rows, line = [], ""
-    for name in rooms(folder):
+    for name in packages_of(folder):
         if len(line) + len(name) > width / 7:
             rows.append(line)
             line = ""
-        line += f"{name} · " if name != rooms(folder)[-1] else name
+        line += f"{name} · " if name != packages_of(folder)[-1] else name
     text = "".join(
         f"<text x='{x + 14}' y='{y + 70 + 20 * k}' font-size='13' fill='#445'>{row}</text>"
         for k, row in enumerate([*rows, line])
@@ -83,5 +83,5 @@ def _box(folder: str, x: int, y: int, width: int, height: int) -> str:
     return (
         f"<rect x='{x}' y='{y}' width='{width}' height='{height}' rx='8' fill='#eef1f6' stroke='#557'/>"
         f"<text x='{x + 14}' y='{y + 28}' font-size='18' font-weight='bold'>{folder}</text>"
-        f"<text x='{x + 14}' y='{y + 48}' font-size='14'>{SAYS[folder]}</text>{text}\n"
+        f"<text x='{x + 14}' y='{y + 48}' font-size='14'>{CAPTIONS[folder]}</text>{text}\n"
     )

@@ -99,17 +99,17 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Write the dearest tests, and one line that counts what was not proven, by the Debian package or the reason."""
     reports = [report for stored in terminalreporter.stats.values() for report in stored]
-    taken = {r.nodeid: dict(r.user_properties)["cpu_s"] for r in reports if getattr(r, "when", "") == "teardown"}
-    if len(taken) > DEAREST:
-        terminalreporter.section(f"CPU: {sum(taken.values()):.0f} s of {len(taken)} tests, the dearest first")
-        for nodeid in sorted(taken, key=lambda one: -taken[one])[:DEAREST]:
-            terminalreporter.write_line(f"{taken[nodeid]:7.1f} s  {nodeid}")
+    cpu_times = {r.nodeid: dict(r.user_properties)["cpu_s"] for r in reports if getattr(r, "when", "") == "teardown"}
+    if len(cpu_times) > DEAREST:
+        terminalreporter.section(f"CPU: {sum(cpu_times.values()):.0f} s of {len(cpu_times)} tests, the dearest first")
+        for nodeid in sorted(cpu_times, key=lambda one: -cpu_times[one])[:DEAREST]:
+            terminalreporter.write_line(f"{cpu_times[nodeid]:7.1f} s  {nodeid}")
     reasons = [report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", [])]
     packages, others = Counter[str](), Counter[str]()
     for reason in reasons:
-        named = re.search(r"apt-get install (.*)", reason)
-        packages.update(named[1].split() if named else [])
-        others.update([] if named else [reason])
+        match = re.search(r"apt-get install (.*)", reason)
+        packages.update(match[1].split() if match else [])
+        others.update([] if match else [reason])
     lacks = [f"Debian's {name} ({count})" for name, count in sorted(packages.items())]
     lacks += [f"{reason} ({count})" for reason, count in sorted(others.items())]
     if lacks:
@@ -132,7 +132,7 @@ def data_of_the_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
 
 
 @pytest.fixture(autouse=True)
-def places_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def isolated_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """No test writes into the logs or data of the person who runs it, or finds there what another test left.
 
     Copies of one registry have one identity: what a test writes down about one copy would speak against the next.
@@ -142,15 +142,15 @@ def places_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: py
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_hasher() -> Iterator[Callable[[], PasswordHasher]]:
+def real_hasher() -> Iterator[Callable[[], PasswordHasher]]:
     """The hasher of PINs as softcal has it; the tests sign in a thousand times and use one that is not slow on purpose.
 
     What is stored names its own cost, so that a process started by a test checks such a PIN like any other.
     """
-    own, quick = people._hasher, PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+    hasher, quick = people._hasher, PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(people, "_hasher", lambda: quick)
-        yield own
+        yield hasher
 
 
 @pytest.fixture

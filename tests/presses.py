@@ -14,9 +14,9 @@ def presses(seed: int, count: int, dwell: float = 0.0) -> np.ndarray:
     return np.concatenate(parts)[:count]
 
 
-def held_presses(seed: int, count: int, dwell: float, spread: float = 0.0, own: int = 0) -> np.ndarray:
+def dwelling_presses(seed: int, count: int, dwell: float, spread: float = 0.0, own_seed: int = 0) -> np.ndarray:
     """Return presses held for about `dwell` samples; with a spread each is harder or softer on a unit of seed `own`."""
-    rng, differs, parts, length = np.random.default_rng(seed), np.random.default_rng(own), [np.zeros(20)], 20
+    rng, differs, parts, length = np.random.default_rng(seed), np.random.default_rng(own_seed), [np.zeros(20)], 20
     while length < count:
         peak, up, down = rng.uniform(0.8, 3.0), rng.integers(15, 40), rng.integers(15, 40)
         peak *= 1.0 + spread * differs.normal()

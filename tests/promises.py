@@ -13,7 +13,7 @@ sys.path.insert(0, str(ROOT))
 from tests.architecture import PICTURE, picture  # noqa: E402
 
 PAGE = ROOT / "tests/README.md"
-ROOMS = {
+PACKAGES = {
     "core": "Numbers: maps, forecasts, verdicts, twin, gap, adaptation",
     "station": "The stage and what has a wire",
     "db": "The registry",
@@ -23,11 +23,11 @@ ROOMS = {
 }
 
 
-def promises() -> str:
+def render_table() -> str:
     """Return the table as Markdown."""
     parts = []
-    for room, title in ROOMS.items():
-        rows = [_row(path) for path in sorted((ROOT / "tests" / room).glob("test_*.py"))]
+    for package, title in PACKAGES.items():
+        rows = [_row(path) for path in sorted((ROOT / "tests" / package).glob("test_*.py"))]
         parts.append(f"### {title}\n\n| promise | tests | layer |\n|---|---|---|\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
@@ -50,9 +50,8 @@ def _layer(module: ast.Module) -> str:
 
 def page() -> str:
     """Return the whole page."""
-    return (
-        f"# Which test proves which promise\n\nWritten by `make proof`. How to add one: docs/proof.md.\n\n{promises()}"
-    )
+    heading = "# Which test proves which promise\n\nWritten by `make proof`. How to add one: docs/proof.md."
+    return f"{heading}\n\n{render_table()}"
 
 
 if __name__ == "__main__":

@@ -149,19 +149,19 @@ class UnitHistories(RuleBasedStateMachine):
         before = states(registry)
         self.touched.add(side)
         try:
-            named = preview(registry, LOT.id, act)
+            change = preview(registry, LOT.id, act)
         except (InputError, RegistryError):
             self.counts[f"{name} refused"] += 1
             assert states(registry) == before, "a refused act changed something"
             return
         self.counts[name] += 1
-        done = carry_out(registry, LOT.id, act)
-        assert [(one.serial, one.verdict, one.next_verdict) for one in done.changed] == [
-            (one.serial, one.verdict, one.next_verdict) for one in named.changed
+        result = carry_out(registry, LOT.id, act)
+        assert [(one.serial, one.verdict, one.next_verdict) for one in result.changed] == [
+            (one.serial, one.verdict, one.next_verdict) for one in change.changed
         ]
         after = states(registry)
-        told = {one.serial for one in named.changed}
-        assert {serial for serial in after if after[serial][0] != before[serial][0]} == told
+        announced = {one.serial for one in change.changed}
+        assert {serial for serial in after if after[serial][0] != before[serial][0]} == announced
         if only is not None:
             assert {serial for serial in after if after[serial] != before[serial]} <= {only}, "another unit changed"
 
@@ -260,7 +260,7 @@ def check_surfaces(registry: Registry) -> None:
         assert by_sample <= set(facts.decided.released)
 
 
-class _NotKept(Exception):  # noqa: N818 - no error: it ends a transaction
+class _RolledBack(Exception):  # noqa: N818 - no error: it ends a transaction
     pass
 
 
@@ -272,8 +272,8 @@ def after_all(registry: Registry, acts: tuple[Callable[[], object], ...]) -> obj
             for act in acts:
                 act()
             end = states(registry)
-            raise _NotKept
-    except (_NotKept, InputError, RegistryError):
+            raise _RolledBack
+    except (_RolledBack, InputError, RegistryError):
         return end
 
 

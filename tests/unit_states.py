@@ -117,8 +117,8 @@ def state_of(
     serial: str, network_id: str, recording_sha256: str, number: int = 1, verdict: str = "pass", limit_rmse: float = 2.0
 ) -> UnitState:
     """Return a state whose verdict is as asked: a pass was measured, a fail or a retest has a finding."""
-    found = () if verdict in ("pass", "conditional") else (Finding(plain("bent in the press"), Verdict(verdict)),)
-    fit = fit_of(serial, network_id, recording_sha256, number, findings=found)
+    findings = () if verdict in ("pass", "conditional") else (Finding(plain("bent in the press"), Verdict(verdict)),)
+    fit = fit_of(serial, network_id, recording_sha256, number, findings=findings)
     state = UnitState(fit=fit, limit=Limit("N", limit_rmse))
     if verdict == "pass":
         state = UnitState(fit=fit, limit=state.limit, audit=audit_of(state, 1.5 * limit_rmse, 0.1 * limit_rmse))

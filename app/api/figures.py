@@ -15,7 +15,7 @@ from softcal.app.views.unit import UnitSignals
 from softcal.core.recording import Array
 
 RENDER = partial(text, "en")
-GROUND = {"paper_bgcolor": "white", "plot_bgcolor": "white"}
+BACKGROUND = {"paper_bgcolor": "white", "plot_bgcolor": "white"}
 """A notebook may be dark: letters and lines are those of the light theme."""
 
 
@@ -31,7 +31,9 @@ def draw_recording(title: str, t_s: Array, series: list[tuple[str, Array]]) -> g
         line = {"color": LIGHT.raw if row == 1 else LIGHT.source, "width": 1.3}
         figure.add_scatter(x=t_s[rows], y=values[rows], name=name, line=line, row=row, col=1)
         axis_titles(figure, row, name, RENDER("chart.time") if row == len(series) else None)
-    return apply_theme(figure, LIGHT, 100 + 170 * len(series)).update_layout(showlegend=False, title=title, **GROUND)
+    return apply_theme(figure, LIGHT, 100 + 170 * len(series)).update_layout(
+        showlegend=False, title=title, **BACKGROUND
+    )
 
 
 def draw_unit(signals: UnitSignals, reference: Array | None, title: str) -> go.Figure:
@@ -57,4 +59,4 @@ def draw_unit(signals: UnitSignals, reference: Array | None, title: str) -> go.F
         figure.update_xaxes(title=part.layout.xaxis.title.text, row=row, col=col)
         figure.update_yaxes(title=part.layout.yaxis.title.text, row=row, col=col)
     legend = {"orientation": "h", "yref": "paper", "y": -0.12, "yanchor": "top", "x": 0}
-    return apply_theme(figure, LIGHT, 640).update_layout(title=title, legend=legend, margin_b=100, **GROUND)
+    return apply_theme(figure, LIGHT, 640).update_layout(title=title, legend=legend, margin_b=100, **BACKGROUND)

@@ -217,7 +217,7 @@ class Unit:
         with TemporaryDirectory(prefix="softcal-") as folder:
             with self._registry(Path(folder)):
                 pass
-            write_bytes(file, (Path(folder) / _FILE).read_bytes())
+            write_bytes(file, (Path(folder) / _UNIT_DATABASE).read_bytes())
 
     @classmethod
     def load(cls, path: str | Path, serial: str | None = None) -> "Unit":
@@ -305,7 +305,7 @@ class Unit:
     @contextmanager
     def _registry(self, folder: Path) -> "Iterator[Registry]":
         source, lot = self._stored_source, self._lot
-        with open_registry(f"sqlite:///{folder / _FILE}", create=True) as registry:
+        with open_registry(f"sqlite:///{folder / _UNIT_DATABASE}", create=True) as registry:
             registry.lots.add(lot)
             training = {"source_recording_sha256": registry.recordings.add(lot.id, source, "source")}
             registry.networks.add(lot.id, self.network, {}, training, self.network.id)
@@ -376,4 +376,4 @@ def unit_frame(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
     return table.astype(dict.fromkeys(errors, np.float64))
 
 
-_FILE = "unit.db"
+_UNIT_DATABASE = "unit.db"

@@ -81,9 +81,11 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, hook: 
     store_loads(registry, lot_id, loads, "file", actor=actor)
     if isinstance(run, LabelledRecording):
         golden = registry.recordings.add(lot_id, run, "audit", actor=actor)
-        pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
-        pressed[golden] = run.serial, golden
-        store_golden_runs(registry, lot_id, pressed, actor=actor)
+        unit_recordings = {
+            sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()
+        }
+        unit_recordings[golden] = run.serial, golden
+        store_golden_runs(registry, lot_id, unit_recordings, actor=actor)
     plan = make_batch_fit(registry, lot_id, actor)
     release = decide_lot(registry, lot_id, actor)
     audit = update_lot(registry, lot_id, actor)

@@ -68,9 +68,9 @@ def preview_lot(plan: ImportPlan, registry: Registry) -> LotPreview:
     units = tuple(_preview_unit(preview, source, plan) for preview in previews)
     tables = [(preview.path, preview.serial, preview.unit) for preview in previews if preview.unit is not None]
     audits, not_used = unused_of_import(plan, tables)
-    pressed = [RecordedOutput(serial, plan.lot.id, unit.recording.output_sha256) for _, serial, unit in tables]
+    recorded_outputs = [RecordedOutput(serial, plan.lot.id, unit.recording.output_sha256) for _, serial, unit in tables]
     comparisons = compare_audits(plan, {serial: unit for _, serial, unit in tables})
-    return LotPreview(units, tuple(audits), not_used, (*comparisons, *same_recordings_with(registry, pressed)))
+    return LotPreview(units, tuple(audits), not_used, (*comparisons, *same_recordings_with(registry, recorded_outputs)))
 
 
 def _preview_unit(preview: ImportPreview, source: ImportPreview | None, plan: ImportPlan) -> UnitPreview:

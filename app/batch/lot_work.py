@@ -54,7 +54,7 @@ much as one of four or more, and a batch that is killed repeats no more than the
 
 NO_RESULT = "the registry has no result of it; have the registry verified"
 FIRST_CHUNK, LARGEST_CHUNK = 4, 128
-HELD_BYTES = 64_000_000
+MAX_UNREAD_BYTES = 64_000_000
 """Files are read ahead up to so many bytes: each is read once, a large lot needs no more."""
 
 POLL_S = 1.0
@@ -158,7 +158,7 @@ class LotWork:
     def _read_ahead(self, claims: Claims) -> None:
         self._files_ahead.clear()
         works, size = dict[str, str](), 0
-        while self._unread and size < HELD_BYTES:
+        while self._unread and size < MAX_UNREAD_BYTES:
             serial = self._unread.popleft()
             if serial in self._work_hashes:
                 continue
@@ -301,7 +301,7 @@ class LotWork:
 
         def store() -> dict[str, UnitResult]:
             with self._registry.transaction():
-                leased_ids = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
+                leased_ids = claims.queue.lock_leased(claims.owner, [unit.task_id for unit in outcome.units])
                 leased = [unit for unit in outcome.units if unit.task_id in leased_ids]
                 for unit in leased:
                     self._register(unit)

@@ -33,7 +33,7 @@ def watch_lot(
         InputError: the folder is no lot, or its source cannot be used.
     """
     before: FileStates = {}
-    done: FileStates = {}
+    calibrated: FileStates = {}
     still_s = 0.0
     while True:
         folder = open_lot_folder(path)
@@ -42,11 +42,11 @@ def watch_lot(
             with suppress(FileNotFoundError):
                 stat = file.stat()
                 now[serial] = (stat.st_size, stat.st_mtime_ns)
-        new = {serial for serial, state in now.items() if before.get(serial) == state != done.get(serial)}
+        new = {serial for serial, state in now.items() if before.get(serial) == state != calibrated.get(serial)}
         if new:
             paths: Mapping[str, Path] = {serial: path for serial, path in folder.unit_paths.items() if serial in new}
             yield run_batch(replace(folder, unit_paths=paths), registry, batch, progress)
-            done |= {serial: now[serial] for serial in new}
+            calibrated |= {serial: now[serial] for serial in new}
         is_settling = any(before.get(serial) != state for serial, state in now.items())
         still_s = 0.0 if new or is_settling else still_s + every_s
         if idle_s is not None and still_s >= idle_s:

@@ -58,8 +58,10 @@ def unused_of_audits(
         if one.refusal is not None
     ]
     accepted = [one.recording for one in audits if one.recording is not None]
-    pressed = [RecordedOutput(one.serial, lot.id, one.output_sha256) for one in (*accepted, *others)]
-    remarks = same_recordings(pressed) if registry is None else same_recordings_with(registry, pressed)
+    recorded_outputs = [RecordedOutput(one.serial, lot.id, one.output_sha256) for one in (*accepted, *others)]
+    remarks = (
+        same_recordings(recorded_outputs) if registry is None else same_recordings_with(registry, recorded_outputs)
+    )
     compared = () if source is None else compare_with_source(source, accepted)
     return tuple(refused), (*compared, *remarks)
 

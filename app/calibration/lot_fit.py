@@ -65,10 +65,10 @@ class LotFitPlan:
     @property
     def batch_messages(self) -> list[Reason]:
         """What a batch changed and what it left to a person, and who stands alone."""
-        done = len(self.states) - len(self.open)
-        messages = [reason("lot_fit.changes", number=self.number, count=done)] if done else []
+        fitted_count = len(self.states) - len(self.open)
+        messages = [reason("lot_fit.changes", number=self.number, count=fitted_count)] if fitted_count else []
         if self.open:
-            messages.append(reason("lot_fit.open", number=self.number + bool(done), count=len(self.open)))
+            messages.append(reason("lot_fit.open", number=self.number + bool(fitted_count), count=len(self.open)))
         return messages + self.outlier_messages
 
     @property

@@ -62,7 +62,7 @@ def decide_lot(
             registry.decisions.add(
                 lot_id, msgspec.to_builtins(decision), action=action, actor=actor, reason=AUDIT_REASON
             )
-        lot.put_all(
+        lot.put_all_in_use(
             {s: replace(one, release=_unit_release(release, one, number)) for s, one in lot.open().items()},
             AUDIT_REASON,
         )
@@ -96,7 +96,7 @@ def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None) -> N
             lot_id, msgspec.to_builtins(decision), action="withhold", actor=actor, reason=AUDIT_REASON
         )
         units = {s: one for s, one in lot.open().items() if is_new_limit or s in spoken_of}
-        lot.put_all(
+        lot.put_all_in_use(
             {s: replace(one, release=_unit_release(decided, one, number)) for s, one in units.items()}, AUDIT_REASON
         )
 
@@ -121,7 +121,7 @@ def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None 
             float("inf") if release.factor is None else float(np.hypot(state.fit.forecast.rmse * release.factor, day))
         )
         release = replace(release, day_rmse=day, is_released=error <= limit.acceptance_rmse)
-        lot.put(serial, replace(state, release=release), AUDIT_REASON)
+        lot.put_in_use(serial, replace(state, release=release), AUDIT_REASON)
 
 
 def roll_back(
@@ -323,18 +323,18 @@ class _Lot:
                 if audit is None or audit.sha256 != corrected.audit.recording_sha256:
                     continue
                 corrected = measure_unit(self.registry, corrected, audit)
-            self.put(serial, corrected, AUDIT_REASON)
+            self.put_in_use(serial, corrected, AUDIT_REASON)
             is_changed = True
         return is_changed
 
-    def put_all(self, states: Mapping[str, UnitState], reason: str) -> None:
+    def put_all_in_use(self, states: Mapping[str, UnitState], reason: str) -> None:
         """Put states into use where they are not, after one look at what is there of all."""
         self.registry.calibrations.read_ahead(self.lot_id, list(states))
         self._read_arrays(serial for serial, state in states.items() if state.line_behind is not None)
         for serial, state in states.items():
-            self.put(serial, state, reason)
+            self.put_in_use(serial, state, reason)
 
-    def put(self, serial: str, state: UnitState, reason: str) -> None:
+    def put_in_use(self, serial: str, state: UnitState, reason: str) -> None:
         """Put a state into use where it is not."""
         before = self.states[serial]
         if all(getattr(before, one.name) == getattr(state, one.name) for one in fields(state) if one.name != "fit"):
@@ -351,7 +351,7 @@ class _Lot:
         # Rules of other packages have to see the recording again: only a new fit decides on such a unit.
         free = {serial: state for serial, state in self.states.items() if not state.fit.rules}
         stale = {serial: replace(state, limit=limit) for serial, state in free.items() if state.limit != limit}
-        self.put_all(stale, "held against another limit")
+        self.put_all_in_use(stale, "held against another limit")
         for serial in free:
             entry, audit_state = audits.get(serial), self.states[serial].audit
             if entry is None or (audit_state is not None and audit_state.recording_sha256 == entry.sha256):
@@ -360,12 +360,12 @@ class _Lot:
             if audit is not None:
                 self._read_arrays([serial])
                 complete = replace(self.states[serial], unreadable_audit=None)
-                self.put(serial, measure_unit(registry, complete, audit), "scored on a newer audit")
+                self.put_in_use(serial, measure_unit(registry, complete, audit), "scored on a newer audit")
         suspects = self.audits().suspects(self.lot_id)
         for serial, state in list(self.states.items()):
             if state.suspect_audit != suspects.get(serial):
                 note = "its audit is set aside" if serial in suspects else "its audit counts again"
-                self.put(serial, replace(state, suspect_audit=suspects.get(serial)), note)
+                self.put_in_use(serial, replace(state, suspect_audit=suspects.get(serial)), note)
 
     def _read_arrays(self, serials: Iterable[str]) -> None:
         """Read the fits of units with their arrays, of all at once."""

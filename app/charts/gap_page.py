@@ -17,7 +17,7 @@ from softcal.app.views.gap_runs import RunView
 
 MAX_CAUSES = 10
 OFFSET_KINDS = {"zero", "gain", "delay", "drift"}
-BOLD = re.compile(r"\*\*(.+?)\*\*")
+BOLD_MARKUP = re.compile(r"\*\*(.+?)\*\*")
 """How the texts mark what stands out: the desk reads the same ones as Markdown."""
 
 
@@ -149,7 +149,7 @@ def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, translate: Translat
 
 def _markup(translate: Translator, key: str, **values: str) -> str:
     """Return a text as HTML in which only what stands out is markup."""
-    return BOLD.sub(r"<b>\1</b>", escape(translate(key, **values)))
+    return BOLD_MARKUP.sub(r"<b>\1</b>", escape(translate(key, **values)))
 
 
 def _effects(effects: Sequence[str], translate: Translator, key: str = "gap.and") -> str:

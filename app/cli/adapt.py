@@ -118,14 +118,14 @@ def run(options: argparse.Namespace) -> None:
         else:
             source, out = Path(options.source), Path(options.out)
             progress = ProgressLine("rows", count_rows(source))
-            report = adapt_file(registry, options.serial, source, out, adapt, progress.reach, names)
+            report = adapt_file(registry, options.serial, source, out, adapt, progress.show_progress, names)
             echo_layout(str(source), report.layout, report.remarks)
         echo_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
 
 
 def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptReport") -> None:
-    from softcal.app.operation.adapt import maps_of, report_json
+    from softcal.app.operation.adapt import map_changes, report_json
 
     flags = [f"{count} {flag}" for flag, count in sorted(report.flags.items()) if flag]
     verdicts = ", ".join(f"{count} x {verdict}" for verdict, count in report.verdicts.items() if verdict != "start")
@@ -145,5 +145,5 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
     if options.html is not None:
         from softcal.app.operation.course_page import write_course_page
 
-        write_course_page(options.html, report, maps_of(course))
+        write_course_page(options.html, report, map_changes(course))
     write_json(options.json, report_json(report, course))

@@ -58,14 +58,14 @@ def run(options: argparse.Namespace) -> int:
         note = sentence
 
     folder = press_demo_lot(
-        config, options.out / "lot", on_run, lambda share: progress.reach(CALIBRATED * PRESSING * share, note)
+        config, options.out / "lot", on_run, lambda share: progress.show_progress(CALIBRATED * PRESSING * share, note)
     )
     url = f"sqlite:///{options.out / 'registry.db'}"
     with registry_at(url) as registry:
         report = run_batch(folder, registry, config.batch, lot_callbacks(_Steps(progress), PRESSING))
         passed = [unit.serial for unit in report.units if report.releases(unit)]
         export_units(registry, passed, ("json",), options.out / "files")
-    progress.reach(1.0, "done")
+    progress.show_progress(1.0, "done")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     fits_s = [unit.state.fit.fit_s for unit in report.units if unit.state and unit.state.fit.fit_s]
     train_s = report.network.metrics["train_s"]
@@ -83,4 +83,4 @@ class _Steps:
         self._progress = progress
 
     def step(self, fraction: float, name: str, **values: object) -> None:
-        self._progress.reach(CALIBRATED * fraction, f"{name} {' of '.join(map(str, values.values()))}")
+        self._progress.show_progress(CALIBRATED * fraction, f"{name} {' of '.join(map(str, values.values()))}")

@@ -102,10 +102,10 @@ def _make_station(options: argparse.Namespace) -> None:
 
 
 def _device(section: str, role: "Role") -> dict[str, Any]:
-    from softcal.station.bench.catalogue import driver_of, offers
+    from softcal.station.bench.catalogue import driver_of, list_drivers
 
     none = [NO_CELL] if role == "cell" else []
-    kinds = none + sorted(offer.kind for offer in offers() if offer.role == role and offer.driver is not None)
+    kinds = none + sorted(offer.kind for offer in list_drivers() if offer.role == role and offer.driver is not None)
     echo(f"[{section}] kinds: {', '.join(kinds)}")
 
     def parse_kind(text: str) -> str:

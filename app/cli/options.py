@@ -296,7 +296,7 @@ def batch_callbacks(unit: str) -> "Callbacks":
         if progress is None:
             progress = ProgressLine("units", units, done)
         else:
-            progress.reach(done, note)
+            progress.show_progress(done, note)
 
     return Callbacks(
         on_epoch=lambda report: echo_epoch(report, unit),

@@ -92,7 +92,7 @@ def _labelled(path: Path, names: "ColumnNames") -> "LabelledRecording":
 
 
 def _print(tables: "PaperTables", unit: str) -> None:
-    from softcal.app.operation.paper import COURSES, OWN_CALIBRATION, PARTS, PUBLISHED, SHARES
+    from softcal.app.operation.paper import COURSE_PARTS, COURSES, OWN_CALIBRATION, PUBLISHED, SHARES
 
     print(f"Table 1. Published: {PUBLISHED[1]}.\n")
     own_rmse = tables.errors[OWN_CALIBRATION]
@@ -105,9 +105,9 @@ def _print(tables: "PaperTables", unit: str) -> None:
     train_s = tables.seconds["network"]
     print_table(("step", "s", "of the network's time"), [(n, s, _part(s, train_s)) for n, s in tables.seconds.items()])
     if tables.courses:
-        print(f"\nFigures 8 and 9, RMSE over the stream in {PARTS} parts. Published: {PUBLISHED[8]}.\n")
+        print(f"\nFigures 8 and 9, RMSE over the stream in {COURSE_PARTS} parts. Published: {PUBLISHED[8]}.\n")
         print_table(
-            ("softcal adapt --mode", *map(str, range(1, PARTS + 1))), [(m, *tables.courses[m]) for m in COURSES]
+            ("softcal adapt --mode", *map(str, range(1, COURSE_PARTS + 1))), [(m, *tables.courses[m]) for m in COURSES]
         )
     print()
 

@@ -301,10 +301,10 @@ def run_drivers(options: argparse.Namespace) -> int:
     """List every driver: those of softcal and those of installed packages. Exit code 3 when a
     package's driver cannot be loaded.
     """
-    from softcal.station.bench.catalogue import SECTIONS, offers
+    from softcal.station.bench.catalogue import SECTIONS, list_drivers
     from softcal.station.bench.station_file import meanings
 
-    chosen = [offer for offer in offers() if options.kind in (None, offer.kind)]
+    chosen = [offer for offer in list_drivers() if options.kind in (None, offer.kind)]
     if not chosen:
         raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
     rows, records = [], []

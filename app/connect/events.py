@@ -159,7 +159,7 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
     calibration, revision = dict(content), None
     if entity == "in_use":
         revision = content["revision"]
-        rows = registry.trail.of("calibrations", (serial, revision, content["made_by"]))
+        rows = registry.trail.list_rows("calibrations", (serial, revision, content["made_by"]))
         calibration = json.loads(rows[0].after or "{}")
     reasons = [Reason.parse(reason) for reason in calibration["reasons"]]
     data = {

@@ -103,12 +103,14 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
     layouts = {path.name: unit.file.table.layout for path, _, unit in tables}
     file_remarks = dict.fromkeys(f"{path.name}: {remark}" for path, _, unit in tables for remark in unit.file.remarks)
     targets = tuple(serial for serial in units if serial not in plan.sources)
-    pressed = [RecordedOutput(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
+    recorded_outputs = [
+        RecordedOutput(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()
+    ]
     remarks: list[Reason | str] = [
         *file_remarks,
         *local_time_remarks({one.table.path: one.start for one in audited.values()}),
         *comparison_remarks,
-        *same_recordings(pressed),
+        *same_recordings(recorded_outputs),
     ]
     remarks += [] if targets else [Reason("lot.no_units")]
     reference = units[plan.lot.source].reference

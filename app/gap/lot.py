@@ -51,7 +51,9 @@ def diagnose_lot_folder(folder: Path, on_progress: Callable[[str], None] = lambd
         serials[case.serial] = name
     first, *others = cases
     for name in others:
-        for part, expected, other in zip(_PROTOCOL_PARTS, _protocol(cases[first]), _protocol(cases[name]), strict=True):
+        for part, expected, other in zip(
+            _PROTOCOL_SENTENCES, _protocol(cases[first]), _protocol(cases[name]), strict=True
+        ):
             if expected != other:
                 raise InputError(
                     f"{folder / name}: {part} {other}, but {expected} in {first}; "
@@ -68,7 +70,7 @@ def diagnose_lot_folder(folder: Path, on_progress: Callable[[str], None] = lambd
     return LotReport(diagnosis, tuple(calibration))
 
 
-_PROTOCOL_PARTS = ("runs are", "channels are", "electronics are")
+_PROTOCOL_SENTENCES = ("runs are", "channels are", "electronics are")
 
 
 def _protocol(case: Case) -> tuple[str, str, str]:

@@ -22,10 +22,10 @@ from softcal.core.twin.effects import Parameter, Scale
 RUN = "run"
 """Input column that says which measured sequence a run is: it has its state and control."""
 
-LOG = 30.0
+LOG_SCALE_RATIO = 30.0
 """Ratio of the bounds of a positive parameter from which it is fitted by its order of magnitude."""
 
-USUAL = 0.1
+USUAL_SIZE_SHARE = 0.1
 """Usual size of a candidate, as a share of its range."""
 
 
@@ -76,7 +76,7 @@ def from_sysid(  # noqa: V103
     candidates = []
     for p in (p for p in free if p.name in neutral):
         low, high = (float(v.flatten()[0]) - neutral[p.name] for v in (p.min_value, p.max_value))
-        usual = USUAL * (high if high >= -low else low)
+        usual = USUAL_SIZE_SHARE * (high if high >= -low else low)
         candidates.append(candidate(p.name, "model", Parameter("change", "", low, high, usual, neutral=0.0)))
     simulator = Simulator(
         name=name,
@@ -163,7 +163,7 @@ def _parameters(parameter: Any) -> list[Parameter]:
     low, high, usual = (v.flatten() for v in (parameter.min_value, parameter.max_value, parameter.nominal))
     parameters = []
     for name, lower, upper, nominal in zip(_names(parameter), low, high, usual, strict=True):
-        scale: Scale = "log" if lower > 0.0 and upper > LOG * lower else "linear"
-        size = float(nominal) or USUAL * float(upper - lower)
+        scale: Scale = "log" if lower > 0.0 and upper > LOG_SCALE_RATIO * lower else "linear"
+        size = float(nominal) or USUAL_SIZE_SHARE * float(upper - lower)
         parameters.append(Parameter(name, "", float(lower), float(upper), size, scale=scale))
     return parameters

@@ -115,7 +115,7 @@ def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> R
 def _send_heartbeats(board: JobBoard, job_id: str, stop: threading.Event, on_cancel: Callable[[], None]) -> None:
     while not stop.wait(HEARTBEAT_S):
         try:
-            if board.beat(job_id):
+            if board.write_heartbeat(job_id):
                 board.end(job_id, RunState.CANCELLED, "cancelled")
                 on_cancel()
                 return

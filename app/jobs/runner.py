@@ -75,6 +75,6 @@ class JobRunner:
             self._timer = None
             try:
                 for job_id in self._waiting:
-                    self._board.beat(job_id)
+                    self._board.write_heartbeat(job_id)
             finally:
                 self._start()

@@ -103,8 +103,8 @@ def press_demo_lot(
     serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
     rng = np.random.default_rng(SEED)
     twins = draw_twins(rng, len(serials), twin=config.twin)
-    pressed = press_simulated_lot(twins, serials, SEED, config.times, on_run, config.batch.engine, on_share)
-    source = pressed.source
+    recordings = press_simulated_lot(twins, serials, SEED, config.times, on_run, config.batch.engine, on_share)
+    source = recordings.source
     lot = Lot(
         "demo",
         serials[0],
@@ -114,10 +114,10 @@ def press_demo_lot(
     )
     with atomic_folder(folder) as part:
         write_lot_toml(part, lot, SIMULATED)
-        write_recording(part / "source" / f"{lot.source}.csv", pressed.source)
-        for serial, unit in pressed.units.items():
+        write_recording(part / "source" / f"{lot.source}.csv", recordings.source)
+        for serial, unit in recordings.units.items():
             write_recording(part / "units" / f"{serial}.csv", unit)
-            write_recording(part / "audit" / f"{serial}.csv", pressed.audits[serial])
+            write_recording(part / "audit" / f"{serial}.csv", recordings.audits[serial])
     return open_lot_folder(folder)
 
 
@@ -138,7 +138,7 @@ def press_simulated_lot(
         DeviceError: a station failed.
     """
     report, times = on_run or (lambda sentence: None), times or PressTimes()
-    pressed: dict[str, _Recorded] = {}
+    recordings: dict[str, _Recorded] = {}
     runs = [(serial, twin, seed + k) for k, (serial, twin) in enumerate(zip(serials, twins, strict=True))]
     done_s = multiprocessing.get_context("spawn").Value("d", 0.0)
     total_s = times.source_s + (len(runs) - 1) * (times.unit_s + times.audit_s)
@@ -148,15 +148,15 @@ def press_simulated_lot(
             if isinstance(answer, WorkerFailure):
                 raise DeviceError(f"unit {answer.item[0]}: the process that pressed it was ended; begin again")
             serial, recorded = answer
-            pressed[serial] = recorded
+            recordings[serial] = recorded
             if serial == serials[0]:
                 report(f"source unit {serial}: pressed with the load cell")
                 continue
             report(f"unit {serial}: pressed, output only")
             report(f"unit {serial}: audited with the load cell")
-    units = {serial: pressed[serial].run.output_recording() for serial in serials[1:]}
-    audits = {serial: pressed[serial].labelled.labelled_recording() for serial in serials[1:]}
-    return RecordedLot(pressed[serials[0]].labelled.labelled_recording(), units, audits)
+    units = {serial: recordings[serial].run.output_recording() for serial in serials[1:]}
+    audits = {serial: recordings[serial].labelled.labelled_recording() for serial in serials[1:]}
+    return RecordedLot(recordings[serials[0]].labelled.labelled_recording(), units, audits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ def _press_source_or_unit(lot: tuple[str, PressTimes, Any], run: tuple[str, Twin
     (source, times, done_s), (serial, twin, seed) = lot, run
     rng = np.random.default_rng(seed)
 
-    def pressed(bench: Bench, profile: Profile, seconds: float, with_reference: bool) -> StationRecording:
+    def press(bench: Bench, profile: Profile, seconds: float, with_reference: bool) -> StationRecording:
         before = 0.0
 
         def on_progress(progress: RunProgress) -> None:
@@ -202,10 +202,10 @@ def _press_source_or_unit(lot: tuple[str, PressTimes, Any], run: tuple[str, Twin
 
     with open_simulated_bench(twin, seed) as (bench, _):
         if serial == source:
-            recording = pressed(bench, source_profile(rng, times.source_s), times.source_s, True)
+            recording = press(bench, source_profile(rng, times.source_s), times.source_s, True)
             return serial, _Recorded(recording, recording)
-        unit = pressed(bench, unit_profile(rng, times.unit_s), times.unit_s, False)
-        return serial, _Recorded(unit, pressed(bench, unit_profile(rng, times.audit_s), times.audit_s, True))
+        unit = press(bench, unit_profile(rng, times.unit_s), times.unit_s, False)
+        return serial, _Recorded(unit, press(bench, unit_profile(rng, times.audit_s), times.audit_s, True))
 
 
 def table_row(unit: UnitResult) -> list[object]:
@@ -213,7 +213,7 @@ def table_row(unit: UnitResult) -> list[object]:
     state = unit.state
     if state is None:
         return [unit.serial, unit.verdict, *[None] * 6]
-    own = None if state.scores is None else state.scores.own
-    ratios = [None, None] if own is None else [own.after_ratio, own.before_ratio]
+    own_scores = None if state.scores is None else state.scores.own
+    ratios = [None, None] if own_scores is None else [own_scores.after_ratio, own_scores.before_ratio]
     predicted, *measured = state.errors.values()
     return [unit.serial, unit.verdict, *measured, *ratios, predicted]

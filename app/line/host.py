@@ -219,9 +219,9 @@ class StationHost:
         if progress.state.is_active:
             self._fixture.follow(progress.phase)
             before = self._newest
-            done = before.fraction if before is not None and before.order_id == progress.order_id else 0.0
+            fraction = before.fraction if before is not None and before.order_id == progress.order_id else 0.0
             # Training and calibrating follow the run: what is done stays done.
-            self._newest = replace(progress, fraction=max(done, progress.fraction))
+            self._newest = replace(progress, fraction=max(fraction, progress.fraction))
             return
         self._pending_reports.append(progress)
         try:
@@ -315,7 +315,7 @@ class StationHost:
     def _send_heartbeat(self, after: timedelta = TAKEOVER_AFTER) -> None:
         service = self._service
         is_off = service.state is StationState.OFF
-        self._queue.beat(
+        self._queue.write_heartbeat(
             Heartbeat(
                 self._station,
                 service.state,

@@ -57,7 +57,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
         if line.heartbeat is None:
             raise InputError(Reason("line.no_station"))
         step = _step(registry, line, screen, scan, actor or _badged(line.operator))
-        if write_session(registry.line_places, line.station, step.session):
+        if write_session(registry.line_sessions, line.station, step.session):
             break
     else:
         raise InputError(Reason("line.other_screens"))
@@ -73,7 +73,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     # Why nothing moved is said also where another screen writes at the same time.
     for _ in range(MAX_CONFLICTS):
         line = read_line(registry, screen)
-        if write_session(registry.line_places, line.station, _with_note(line, refusal)):
+        if write_session(registry.line_sessions, line.station, _with_note(line, refusal)):
             return read_line(registry, screen)
     raise InputError(Reason("line.other_screens"))
 
@@ -93,7 +93,7 @@ def order_stop(registry: Registry, station: str) -> bool:
     active = queue.active(station)
     if active is None:
         return False
-    session = read_session(registry.line_places, station)
+    session = read_session(registry.line_sessions, station)
     operator = "" if session.is_badge_over(datetime.now(UTC)) else session.operator
     queue.place(_stop_order(station, active[0], _badged(operator)))
     return True
@@ -180,8 +180,8 @@ def _unit(registry: Registry, line: LineStatus, scan: Scan) -> LineSession | Not
             return Note("other_lot", {"serial": serial, "other": other, "lot": lot.id})
     if not fits:
         return Note("bad_serial", {"serial": serial, "lot": lot.id})
-    pressed = {run[0].serial for run in line.runs if run[0].lot_id == lot.id}
-    is_new = is_unfamiliar(registry, lot.lot, lot.rules, serial, pressed)
+    pressed_serials = {run[0].serial for run in line.runs if run[0].lot_id == lot.id}
+    is_new = is_unfamiliar(registry, lot.lot, lot.rules, serial, pressed_serials)
     return replace(emptied, lot_id=lot.id, serial=serial, is_new=is_new)
 
 
@@ -193,8 +193,8 @@ def _start(line: LineStatus, screen: Screen, actor: str) -> Step:
     if refusal is not None:
         return Step(_with_note(line, refusal))
     if line.load is not None and line.newest is not None:
-        pressed, loaded = line.newest[0], load_order(line.load_step, line.load)
-        unit = (pressed.serial, pressed.lot_id, actor, loaded)
+        newest_order, loaded = line.newest[0], load_order(line.load_step, line.load)
+        unit = (newest_order.serial, newest_order.lot_id, actor, loaded)
         return Step(replace(line.session, note=None), Order(uuid.uuid4().hex, line.station, OrderKind.LOAD, *unit))
     is_of_lot = line.lot is not None and (not line.is_golden or line.serial == line.lot.lot.source)
     lot_id = line.lot.id if line.lot and is_of_lot else ""

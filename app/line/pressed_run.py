@@ -117,14 +117,14 @@ class RunStore:
             RegistryError: the registry is away; doing it again later stores nothing twice.
             InputError: the recording cannot be used.
         """
-        done = Progress(order.order_id, RunState.DONE, "done", 1.0)
+        final_progress = Progress(order.order_id, RunState.DONE, "done", 1.0)
         if isinstance(recording, RestReading):
-            return self._store_reading(order, recording, publish, done)
+            return self._store_reading(order, recording, publish, final_progress)
         self._loads.forget()
         if order.kind is OrderKind.GOLDEN:
-            return self._store_golden(order, recording, done)
+            return self._store_golden(order, recording, final_progress)
         if order.kind is OrderKind.SOURCE:
-            return self._store_source(order, recording, publish, done)
+            return self._store_source(order, recording, publish, final_progress)
         # Several units pressed at once are numbered behind the order's serial
         channels = range(recording.output.shape[1])
         names = [order.serial] if len(channels) == 1 else [channel_serial(order.serial, k) for k in channels]
@@ -135,23 +135,27 @@ class RunStore:
                 raise InputError(reason("load.several", count=len(units)))
             sha256 = self._store_recording(order, units[0], recording)
             unit = self._registry.lots.get(order.lot_id).reference_unit
-            return replace(done, message=(self._loads.begin(order, units[0], loads, unit),), recording_sha256=sha256)
+            return replace(
+                final_progress, message=(self._loads.begin(order, units[0], loads, unit),), recording_sha256=sha256
+            )
         publish(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
         outcomes = [self._store_unit(order, unit, self._store_recording(order, unit, recording)) for unit in units]
         sha256 = outcomes[0][0]
         verdicts = [verdict for _, verdict in outcomes if verdict is not None]
         if not verdicts:
             message = (reason("run.no_network", lot=order.lot_id),)
-            return replace(done, message=message, recording_sha256=sha256)
+            return replace(final_progress, message=message, recording_sha256=sha256)
         word, reasons = max(verdicts, key=lambda verdict: Verdict(verdict[0]).severity)
-        return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
+        return replace(final_progress, message=reasons, recording_sha256=sha256, verdict=word)
 
-    def _store_reading(self, order: Order, reading: RestReading, publish: PublishProgress, done: Progress) -> Progress:
+    def _store_reading(
+        self, order: Order, reading: RestReading, publish: PublishProgress, final_progress: Progress
+    ) -> Progress:
         entry = released_network(self._registry, order.lot_id)
         model = self._source(order.lot_id, entry.id) if entry else None
         answer = self._loads.take(order, reading.output[:, 0], model)
         if isinstance(answer, Reason):
-            return replace(done, message=(answer,))
+            return replace(final_progress, message=(answer,))
         unit, loads = answer
         store_loads(
             self._registry, order.lot_id, {unit.sha256: (unit.serial, loads)}, "line", actor=order.actor or None
@@ -159,9 +163,9 @@ class RunStore:
         publish(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
         sha256, outcome = self._store_unit(order, unit, unit.sha256)
         word, reasons = outcome or ("", (reason("run.no_network", lot=order.lot_id),))
-        return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
+        return replace(final_progress, message=reasons, recording_sha256=sha256, verdict=word)
 
-    def _store_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
+    def _store_golden(self, order: Order, recording: StationRecording, final_progress: Progress) -> Progress:
         labelled = recording.labelled_recording()
         source_lot = golden_lot(self._registry, order.serial, order.lot_id)
         entry = None if source_lot is None else released_network(self._registry, source_lot)
@@ -174,17 +178,17 @@ class RunStore:
             self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source, lot_id=lot_id
         )
         redecide(self._registry, [lot_id], order.actor or None)
-        done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
+        final_progress = replace(final_progress, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
         if run.passed:
-            return replace(done, message=(Reason("golden.good"), *recording.remarks))
+            return replace(final_progress, message=(Reason("golden.good"), *recording.remarks))
         quarantined = quarantine(self._registry, self._station, run.made_at)
         details = {"units": list(quarantined), "golden": order.serial}
         self._registry.trail.add("quarantine", "station", (self._station,), details, reason=to_line(run.reasons))
         message = reason("golden.held", serials=", ".join(quarantined) or Reason("golden.none"))
-        return replace(done, message=(*run.reasons, message))
+        return replace(final_progress, message=(*run.reasons, message))
 
     def _store_source(
-        self, order: Order, recording: StationRecording, publish: PublishProgress, done: Progress
+        self, order: Order, recording: StationRecording, publish: PublishProgress, final_progress: Progress
     ) -> Progress:
         def on_epoch(report: EpochReport) -> None:
             fraction = report.epoch / report.max_epochs
@@ -210,7 +214,7 @@ class RunStore:
         declare_reference(self._registry, lot.id, reference, source, order.actor or None)
         rmse = trained.metrics["validation_rmse"]
         message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit), *recording.remarks)
-        return replace(done, message=message, recording_sha256=source.sha256)
+        return replace(final_progress, message=message, recording_sha256=source.sha256)
 
     def _store_recording(self, order: Order, unit: OutputRecording, recording: StationRecording) -> str:
         """Store a recording with the method of its checks; return its hash."""
@@ -233,8 +237,8 @@ class RunStore:
         context = read_lot_context(
             registry, lot, models, config_of(entry), inputs.golden_runs, cross=self._day_correction
         )
-        done = registry.calibrations.stored_inputs(lot.id, [unit.serial]).get(unit.serial, ())
-        result = calibrate_unit(context, unit, inputs.unit(unit.serial), done)
+        stored_inputs = registry.calibrations.stored_inputs(lot.id, [unit.serial]).get(unit.serial, ())
+        result = calibrate_unit(context, unit, inputs.unit(unit.serial), stored_inputs)
         cause = order.reason or f"pressed on {self._station}"
         store_result(registry, lot.id, unit.serial, result, "line", actor=actor, reason=cause)
         if not isinstance(result, Refusal):

@@ -69,7 +69,7 @@ def read_scan(text: str) -> Scan:
     return Scan("lot", lot_id) if lot_id else Scan("unreadable", payload.replace(SEPARATOR, "|"))
 
 
-def is_unfamiliar(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed: Set[str]) -> bool:
+def is_unfamiliar(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed_serials: Set[str]) -> bool:
     """Whether a person should be asked before a serial becomes a unit of a lot.
 
     Not for a unit that the lot knows. Where the lot's units were registered by name, for every
@@ -82,7 +82,7 @@ def is_unfamiliar(registry: Registry, lot: Lot, rules: LineRules, serial: str, p
     waiting = registry.pages.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
     if any(not registry.recordings.of_lot(lot.id, unit.serial) for unit in waiting):
         return True
-    return not rules.serial_pattern and shape(serial) not in {shape(other) for other in {lot.source, *pressed}}
+    return not rules.serial_pattern and shape(serial) not in {shape(other) for other in {lot.source, *pressed_serials}}
 
 
 def shape(serial: str) -> str:

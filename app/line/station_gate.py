@@ -163,12 +163,12 @@ def check_golden(
 
 def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ...]:
     """Return the units, as LOT/SERIAL, that a station pressed since its last good golden unit, once one has failed."""
-    pressed = [
+    presses = [
         (str(UnitKey(order.lot_id, order.serial)).removeprefix("/"), order.created)
         for order, progress in registry.order_queue.runs(station, 10_000)
         if order.kind is OrderKind.UNIT and progress.recording_sha256 and order.created is not None
     ]
-    return quarantined_units(pressed, golden_checks(registry, station, now), now)
+    return quarantined_units(presses, golden_checks(registry, station, now), now)
 
 
 def golden_checks(registry: Registry, station: str, now: datetime, since: datetime | None = None) -> list[GoldenCheck]:

@@ -15,7 +15,7 @@ from softcal.core.quality.known_loads import KnownLoad, next_step, requested_loa
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitResult
-from softcal.db.queues.order_queue import STATION_SILENT_AFTER, LinePlaces
+from softcal.db.queues.order_queue import STATION_SILENT_AFTER, LineSessions
 from softcal.db.registry import Registry
 from softcal.db.repositories.networks import NetworkState
 from softcal.db.schema.deadline import is_silent
@@ -87,9 +87,9 @@ class LineSession:
         return self.badged_at is not None and is_silent(self.badged_at, now, BADGE_HOLDS)
 
 
-def read_session(places: LinePlaces, station: str) -> LineSession:
+def read_session(sessions: LineSessions, station: str) -> LineSession:
     """Return the session of the line of a station."""
-    version, values = places.read(station)
+    version, values = sessions.read(station)
     if not values:
         return LineSession(version)
     note, badged_at = values.get("note"), values.get("badged_at")
@@ -100,10 +100,10 @@ def read_session(places: LinePlaces, station: str) -> LineSession:
     return LineSession(version, **{**values, **fields})
 
 
-def write_session(places: LinePlaces, station: str, session: LineSession) -> bool:
+def write_session(sessions: LineSessions, station: str, session: LineSession) -> bool:
     """Replace the session; return False without a change if another screen was first."""
     values = asdict(session) | {"badged_at": session.badged_at.isoformat() if session.badged_at else None}
-    return places.write(station, values.pop("version"), values)
+    return sessions.write(station, values.pop("version"), values)
 
 
 def state_of(heartbeat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
@@ -303,7 +303,7 @@ def read_line(
     line = LineStatus(now, tuple(b.station for b in heartbeats), lots=tuple(registry.lots.ids()))
     if chosen:
         # In this order: a run that begins between must not find a place read after it.
-        heartbeat, session = chosen[0], read_session(registry.line_places, chosen[0].station)
+        heartbeat, session = chosen[0], read_session(registry.line_sessions, chosen[0].station)
         active = queue.active(heartbeat.station)
         runs = tuple(run for run in queue.runs(heartbeat.station, NEWEST_RUNS) if run[0].kind.is_run)
         line = replace(
@@ -321,7 +321,7 @@ def read_line(
     over = [run for run in line.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:MAX_SHOWN_RUNS]
     shown_serials = list(dict.fromkeys((*filter(None, [line.serial]), *(order.serial for order, _ in over))))
     unit_statuses = dict(registry.pages.unit_statuses(lot_id, shown_serials)) if shown_serials else {}
-    undecided = {order.serial for order, done in over if done.verdict and order.serial not in unit_statuses}
+    undecided = {order.serial for order, progress in over if progress.verdict and order.serial not in unit_statuses}
     if channel_serials := [channel_serial(serial, k) for serial in undecided for k in range(MAX_CHANNELS)]:
         unit_statuses |= registry.pages.unit_statuses(lot_id, channel_serials)
     return replace(line, results=results, unit_statuses=unit_statuses)

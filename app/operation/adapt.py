@@ -297,10 +297,10 @@ def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[st
         "method": {"id": report.method.id, "changed": report.changed, "numbers": report.method.to_json()},
         "predicted_rmse": report.current.predicted_rmse,
         "alarm": report.current.alarm or None,
-        "maps": [{name: value for name, value in step.items() if name != "state"} for step in maps_of(course)],
+        "maps": [{name: value for name, value in step.items() if name != "state"} for step in map_changes(course)],
     }
 
 
-def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def map_changes(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the steps of a course that changed something, without the checkpoints."""
     return [step for step in course if step["event"] != "checkpoint"]

@@ -28,7 +28,7 @@ WIDTH = 48
 Show = Callable[[Estimate, AdaptReport], None]
 
 
-def bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> str:
+def draw_level_bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> str:
     """Return a line with the interval as dashes and the estimate as a block."""
     if not value == value:
         return " " * WIDTH
@@ -139,7 +139,7 @@ def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
         table = Table(title=f"unit {unit.state.serial}", show_header=False)
         line = f"{value:8.3f} {load}   [{lower:.3f}, {upper:.3f}]" if value == value else "no estimate"
         table.add_row("estimate", line)
-        table.add_row(f"{span[0]:.3g} .. {span[1]:.3g} {load}", bar(value, lower, upper, span))
+        table.add_row(f"{span[0]:.3g} .. {span[1]:.3g} {load}", draw_level_bar(value, lower, upper, span))
         table.add_row("row", f"{report.rows} at {float(rows.t_s[-1]):.2f} s   {rows.flag[-1] or 'trusted'}")
         table.add_row("drift", f"shift {now.shift:+.3f} ± {now.shift_sd:.3f}, log gain {now.log_gain:+.3f}")
         table.add_row("map", f"{now.verdict}  {now.reason}")

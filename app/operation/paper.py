@@ -35,7 +35,7 @@ SHARES = (0.05, 0.1, 0.25, 0.5, 1.0)
 COURSES = ("none", "improved", "ot", "ot-improved")
 """Modes of `softcal adapt`: without, the default, the paper's online method (Figure 8) and its improved form (9)."""
 
-PARTS = 6
+COURSE_PARTS = 6
 FIT_SHARE, CALIBRATED_SHARE = 2 / 3, 1 / 4
 """Of the pair's rows, those that are fitted; of a stream's rows, those that calibrate it."""
 
@@ -108,8 +108,8 @@ def compute_tables(
         unit_map, seconds[name] = _measure_time(lambda name=name: _map(fit, network, calibration, name))  # type: ignore[misc]
         errors[name] = _error(network, unit_map.apply(test.windows), test)
     shares = {
-        EXACT: [_share_by_plan(fit, network, calibration, test, share) for share in SHARES],
-        DEFAULT: [_share_by_default(fit, network, calibration, test, share) for share in SHARES],
+        EXACT: [_error_by_plan(fit, network, calibration, test, share) for share in SHARES],
+        DEFAULT: [_error_by_default(fit, network, calibration, test, share) for share in SHARES],
     }
     return PaperTables(errors, shares, seconds, {} if stream is None else _courses(stream, config))
 
@@ -143,7 +143,7 @@ def _map_by_pot(source: Array, target: Array, test: Array) -> Array:
     return np.asarray(transport.transform(Xs=np.array(test)))
 
 
-def _share_by_plan(
+def _error_by_plan(
     source: LabelledRecording, network: Network, target: LabelledRecording, test: LabelledRecording, share: float
 ) -> float:
     windows = target.windows[evenly(len(target.windows), max(1, round(share * len(target.windows))))]
@@ -151,7 +151,7 @@ def _share_by_plan(
     return _error(network, unit_map.apply(test.windows), test)
 
 
-def _share_by_default(
+def _error_by_default(
     source: LabelledRecording, network: Network, target: LabelledRecording, test: LabelledRecording, share: float
 ) -> float:
     try:
@@ -165,7 +165,7 @@ def _courses(stream: LabelledRecording, config: NetworkConfig) -> dict[str, list
     source, rest = _cut(stream, CALIBRATED_SHARE, "stream")
     network = fit_network(source, config).network
     calibration = source_state(source, network)
-    courses, edges = {}, np.linspace(0, len(rest), PARTS + 1).astype(int)
+    courses, edges = {}, np.linspace(0, len(rest), COURSE_PARTS + 1).astype(int)
     for mode in COURSES:
         follower: StreamEstimator
         if mode in QUEUES:

@@ -18,12 +18,12 @@ from softcal.core.lot import escape_serial
 
 PLAIN, BOLD = "Vera", "VeraBd"
 OTHER = "other letters"
-VARIABLE = "SOFTCAL_FONT"
+FONT_VARIABLE = "SOFTCAL_FONT"
 
 KOREAN = str(Path(__file__).with_name("static") / "KoreanSans.ttf")
 """All Korean syllables, Greek, Cyrillic, kana and signs: papers in Korean need no font of the computer."""
 
-CANDIDATES = {
+SYSTEM_FONTS = {
     "linux": ("/usr/share/fonts/truetype/nanum/NanumGothic.ttf", "/usr/share/fonts/truetype/dejavu/DejaVuSans.ttf"),
     "win32": (r"C:\Windows\Fonts\malgun.ttf", r"C:\Windows\Fonts\arial.ttf"),
     "darwin": ("/System/Library/Fonts/Supplemental/AppleGothic.ttf", "/Library/Fonts/Arial Unicode.ttf"),
@@ -65,16 +65,16 @@ def _font_for(letter: str) -> str:
         if has_all(name, letter):
             return name
     raise InputError(
-        f"no font at hand can write {letter!r}; name a TrueType font that can: {VARIABLE}=/path/to/font.ttf; "
+        f"no font at hand can write {letter!r}; name a TrueType font that can: {FONT_VARIABLE}=/path/to/font.ttf; "
         "no certificate was written"
     )
 
 
 def _font_files() -> Iterator[str]:
-    if configured := os.environ.get(VARIABLE):
+    if configured := os.environ.get(FONT_VARIABLE):
         yield configured
     yield KOREAN
-    yield from filter(os.path.isfile, CANDIDATES.get(sys.platform, ()))
+    yield from filter(os.path.isfile, SYSTEM_FONTS.get(sys.platform, ()))
 
 
 def printable_serial(serial: str) -> str:
@@ -92,7 +92,7 @@ def register_file(path: str) -> str:
     try:
         pdfmetrics.registerFont(TTFont(f"{OTHER} {path}", path))
     except (TTFError, OSError) as error:
-        raise InputError(f"{VARIABLE}={path} is no TrueType font that can be embedded: {error}") from error
+        raise InputError(f"{FONT_VARIABLE}={path} is no TrueType font that can be embedded: {error}") from error
     return f"{OTHER} {path}"
 
 

@@ -40,11 +40,11 @@ def newest_golden(registry: Registry, station: str, lot_id: str, since: datetime
 
     Lots may share a source; of another one with the same serial, the recordings differ.
     """
-    pressed = sources_of(registry, lot_id)
+    source_serials = sources_of(registry, lot_id)
     runs = registry.stations.golden_runs(station, registry.lots.get(lot_id).source, since)
     latest = registry.settings.clock() + MAX_CLOCK_ERROR  # What is later was written by a clock that was ahead.
     runs = [run for run in reversed(runs) if run.passed and run.recording_sha256 and run.made_at <= latest]
-    lot_runs = (run for run in runs if run.lot_id == lot_id or pressed & sources_of(registry, run.lot_id))
+    lot_runs = (run for run in runs if run.lot_id == lot_id or source_serials & sources_of(registry, run.lot_id))
     return next((run.recording_sha256 for run in lot_runs), None)
 
 

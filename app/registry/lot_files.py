@@ -29,24 +29,26 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
     audits = {s: one.observed_at for (kind, s), one in entries.items() if kind == "audit" and s != lot.source}
     if ("source", lot.source) not in newest:
         raise InputError(f"lot {lot_id!r}: its source {lot.source} has no recording yet; press it first")
-    written: dict[str, list[str]] = {part: [] for part in FOLDER_OF.values()}
+    paths_by_part: dict[str, list[str]] = {part: [] for part in FOLDER_OF.values()}
     with atomic_folder(folder) as part:
         write_lot_toml(part, lot, lot_reference(registry, lot_id), measured_at=audits)
         for (kind, serial), sha256 in newest.items():
             if (kind, serial) == ("audit", lot.source):
                 continue
             write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recordings.get(sha256))
-            written[FOLDER_OF[kind]].append(serial)
-        pressed = {sha256: serial for (kind, serial), sha256 in newest.items() if kind == "unit"}
-        golden_runs = find_golden_runs(registry, lot_id, set(pressed.values()))
-        golden, *others = {golden_runs[sha256][1] if sha256 in golden_runs else None for sha256 in pressed} or {None}
+            paths_by_part[FOLDER_OF[kind]].append(serial)
+        unit_serials = {sha256: serial for (kind, serial), sha256 in newest.items() if kind == "unit"}
+        golden_runs = find_golden_runs(registry, lot_id, set(unit_serials.values()))
+        golden, *others = {golden_runs[sha256][1] if sha256 in golden_runs else None for sha256 in unit_serials} or {
+            None
+        }
         if golden is not None and not others:
             write_recording(part / GOLDEN / f"{lot.source}.csv", registry.recordings.get(golden))
-            written[GOLDEN] = [lot.source]
-        stored_loads = known_loads(registry, lot_id, set(pressed.values()))
+            paths_by_part[GOLDEN] = [lot.source]
+        stored_loads = known_loads(registry, lot_id, set(unit_serials.values()))
         loads = {
             s: stored_loads[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in stored_loads
         }
         if loads:
             write_anchors(part / ANCHOR_FILES[0], loads)
-    return written
+    return paths_by_part

@@ -88,8 +88,10 @@ def client_text(document: Schema) -> str:
             continue
         types += [f"\nclass {name}(TypedDict):", f'    """{_sentence(schema.get("description", name))}"""\n']
         for key, value in schema["properties"].items():
-            said = _type(value)
-            types.append(f"    {key}: {said if key in schema.get('required', []) else f'NotRequired[{said}]'}")
+            type_text = _type(value)
+            types.append(
+                f"    {key}: {type_text if key in schema.get('required', []) else f'NotRequired[{type_text}]'}"
+            )
         types.append("")
     methods = [
         line

@@ -20,8 +20,8 @@ HEAD_LINES = 600
 BLANKS = "blanks"
 NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", BLANKS: "blanks", "": "one column"}
 DECLARED = {"tab": "\t", "\\t": "\t", "blank": BLANKS, " ": BLANKS, "space": BLANKS, "comma": ",", "semicolon": ";"}
-CANDIDATES = ("\t", ";", ",", "|", BLANKS, "")
-REMARKS = ("comment", "comments", "note", "notes", "remark", "remarks", "bemerkung", "kommentar", "비고")
+DELIMITERS = ("\t", ";", ",", "|", BLANKS, "")
+REMARK_HEADINGS = ("comment", "comments", "note", "notes", "remark", "remarks", "bemerkung", "kommentar", "비고")
 """Names of a last column that rows without a remark end before, as LabVIEW writes them."""
 
 COMMENT = re.compile(r"[# ]*(?:% +)?")
@@ -183,9 +183,9 @@ def _detect_marks(
 ) -> tuple[str, str]:
     """Return delimiter and decimal mark: those that make the most cells numbers, and requested names cells."""
     scores: dict[tuple[str, str], float] = {}
-    candidates: Sequence[str] = CANDIDATES if options.delimiter is None else (options.delimiter,)
+    candidates: Sequence[str] = DELIMITERS if options.delimiter is None else (options.delimiter,)
     if options.delimiter is None and options.decimal == "," and not any('"' in line for line in texts):
-        candidates = [mark for mark in CANDIDATES if mark != ","]
+        candidates = [mark for mark in DELIMITERS if mark != ","]
     if options.delimiter is None and sum("\t" in line for line in texts) > len(texts) / 2:
         # A blank may part a date from a time.
         candidates = [mark for mark in candidates if mark != BLANKS]

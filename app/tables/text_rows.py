@@ -12,7 +12,7 @@ from softcal.app.tables.arrays import refuse_large
 from softcal.app.tables.labview import refuse_segments
 from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, Kind, cell_kind, is_summary
 from softcal.app.tables.options import TableOptions
-from softcal.app.tables.text_layout import BLANKS, REMARKS, TextLayout, split
+from softcal.app.tables.text_layout import BLANKS, REMARK_HEADINGS, TextLayout, split
 from softcal.core.errors import InputError
 from softcal.core.recording import Indices
 
@@ -210,7 +210,7 @@ def _fit_row(row: list[str], width: int, layout: TextLayout) -> list[str] | None
     unnamed = [name == f"column_{k}" for k, name in enumerate(layout.heading.names, 1)]
     while len(row) < width and unnamed[len(row)] and all(unnamed[len(row) :]) and layout.heading.row is not None:
         row = [*row, ""]
-    if len(row) == width - 1 and layout.heading.names[-1].lower() in REMARKS:
+    if len(row) == width - 1 and layout.heading.names[-1].lower() in REMARK_HEADINGS:
         row = [*row, ""]
     return row if len(row) == width else None
 

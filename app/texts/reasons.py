@@ -13,7 +13,7 @@ from softcal.core.messages.reason import PLAIN, Reason, unpack_reasons
 Translator = Callable[..., str]
 
 PREFIX, PLAIN_PREFIX = "reason.", "plainly."
-NAMES = {
+TEXT_PREFIXES = {
     "verdict": "within",
     "effect": "gap.effect",
     "channel": "gap.channel",
@@ -23,7 +23,7 @@ NAMES = {
 }
 """Values of a reason that are names of softcal's own → the phrases that say them."""
 
-INSTANT = "at"
+INSTANT_VALUE = "at"
 """The value of a reason that is an instant, kept as text (ISO 8601)."""
 
 SEPARATOR = "; "
@@ -37,12 +37,12 @@ def render_reason(reason: Reason, translate: Translator) -> str:
     for name, value in reason.values.items():
         if isinstance(value, Reason):
             values[name] = render_reason(value, translate)
-        elif isinstance(value, str) and name == INSTANT:
+        elif isinstance(value, str) and name == INSTANT_VALUE:
             # A station that was not updated yet gives the hour alone.
             with suppress(ValueError):
                 values[name] = datetime.fromisoformat(value)
-        elif isinstance(value, str) and name in NAMES:
-            values[name] = translate_phrase(NAMES[name], value, translate)
+        elif isinstance(value, str) and name in TEXT_PREFIXES:
+            values[name] = translate_phrase(TEXT_PREFIXES[name], value, translate)
     return translate(f"{PREFIX}{reason.code}", **values)
 
 

@@ -123,7 +123,7 @@ def make_first_account(name: str, pin: str, code: str) -> User:
         InputError: the code is not what this server printed, a pause, or somebody was first.
     """
     now = datetime.now(UTC)
-    _, until = _failed_codes().of(FIRST_ACCOUNT)
+    _, until = _failed_codes().read(FIRST_ACCOUNT)
     if not has_passed(until, now, MAX_PAUSE):
         raise InputError(Reason("account.locked", {"minutes": minutes_until(until, now)}))
     is_right = is_code(code, first_code())

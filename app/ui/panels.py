@@ -26,7 +26,7 @@ LONG: Any = {"width": "stretch", "hide_index": True, "placeholder": EMPTY_CELL}
 """How a table is drawn that is scrolled in."""
 
 MAX_ROWS_IN_FULL = 40
-MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
+MARKDOWN_CHARACTERS = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
 LINK_TEXT = "#(.*)$"
 NO_BREAK = "\u00a0"
@@ -212,7 +212,7 @@ def _style_verdicts(cells: Sequence[Mapping[Any, object]], rows: Sequence[Mappin
     styles = [[VERDICT_STYLE.get(str(value)[:2], "") for value in row.values()] for row in rows]
     if not any(map(any, styles)) and not figures:
         return frame
-    formats: Any = {name: f"{{:.{places}f}}" for name, places in figures.items()}
+    formats: Any = {name: f"{{:.{decimals}f}}" for name, decimals in figures.items()}
     styled = frame.style.format(formats, na_rep=EMPTY_CELL) if formats else frame.style
     return styled.apply(lambda _: pd.DataFrame(styles, frame.index, frame.columns), axis=None)
 
@@ -241,7 +241,7 @@ def _as_it_is(value: object) -> object:
         return value.markdown
     if isinstance(value, str) and (value[:2] in VERDICT_STYLE or QUANTITY.fullmatch(value)):
         value = value.replace(" ", NO_BREAK)
-    return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else EMPTY_CELL if value is None else value
+    return MARKDOWN_CHARACTERS.sub(r"\\\1", value) if isinstance(value, str) else EMPTY_CELL if value is None else value
 
 
 def table_to_choose(

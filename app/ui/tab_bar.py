@@ -26,8 +26,8 @@ def draw_tabs(page: str, *subject: object) -> None:
     def choose_tab() -> None:
         st.query_params["tab"] = names[st.session_state[key]].name
 
-    places = st.tabs(list(names), key=key, on_change=run_uninterrupted(choose_tab))
-    with places[list(names).index(title)]:
+    containers = st.tabs(list(names), key=key, on_change=run_uninterrupted(choose_tab))
+    with containers[list(names).index(title)]:
         tab = names[title]
         if tab.is_open_to(user):
             entry.draw(tab.name, *subject)

@@ -9,7 +9,7 @@ from typing import Any
 from softcal.app.texts.reasons import Translator, render_reason, translate_phrase
 from softcal.app.views.common import percent
 from softcal.core.messages.reason import Reason
-from softcal.core.profiles import pressed
+from softcal.core.profiles import describe_profile
 
 LIKELY = 0.05
 """Effects below this probability are not listed as causes."""
@@ -69,7 +69,7 @@ def mistake_name(kind: str, translate: Translator) -> str:
 
 def profile_name(profile: str, translate: Translator) -> str:
     """Return what was pressed, or is to be."""
-    return render_reason(pressed(plain_name(profile)), translate)
+    return render_reason(describe_profile(plain_name(profile)), translate)
 
 
 def capitalize(sentence: str) -> str:

@@ -117,8 +117,8 @@ class Card:
     def news(self) -> tuple[str, ...]:
         """The sentence that another network is in use since the last unit was pressed."""
         network = self.line.lot.network if self.line.lot else None
-        pressed = [order.created for order, _ in self.line.runs if order.kind is OrderKind.UNIT and order.created]
-        if network is None or not (network.reason and self.state.has_news) or pressed[:1] > [network.since]:
+        pressed_at = [order.created for order, _ in self.line.runs if order.kind is OrderKind.UNIT and order.created]
+        if network is None or not (network.reason and self.state.has_news) or pressed_at[:1] > [network.since]:
             return ()
         values = {"at": network.since, "actor": network.actor, "reason": network.reason}
         return (self.translate("line.network_changed", network=network.network.id[:8], **values),)
@@ -224,7 +224,7 @@ def _decided(verdict: str, tone: str, is_last: bool = False, **more: Any) -> Lin
     return LineState(holds, tone, verdict=verdict, **more)
 
 
-def _pressed(kind: OrderKind, verdict: str = "") -> Callable[[LineStatus], object]:
+def _is_result_of(kind: OrderKind, verdict: str = "") -> Callable[[LineStatus], object]:
     return lambda f: f.result_run and f.result_run[0].kind is kind and verdict in ("", f.result_run[1].verdict)
 
 
@@ -254,8 +254,8 @@ STATES = {
     "ready": LineState(lambda f: not f.result_run, "ready", shows_gate=True),
     "broken": LineState(lambda f: f.result_run and f.result_run[1].state is not RunState.DONE, "stopped", **_REPAIR),
     "load": LineState(lambda f: f.load, "load", _START, has_news=False, instruction=_instruct_load),
-    "golden_pass": LineState(_pressed(OrderKind.GOLDEN, "pass"), "pass", verdict="pass"),
-    "golden_fail": LineState(_pressed(OrderKind.GOLDEN), "fail", verdict="fail"),
+    "golden_pass": LineState(_is_result_of(OrderKind.GOLDEN, "pass"), "pass", verdict="pass"),
+    "golden_fail": LineState(_is_result_of(OrderKind.GOLDEN), "fail", verdict="fail"),
     "pass": _decided("pass", "pass", details=_describe_error),
     "conditional": _decided("conditional", "check"),
     "fail": _decided("fail", "fail"),

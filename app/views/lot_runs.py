@@ -7,7 +7,7 @@ from datetime import date, tzinfo
 
 from softcal.core.quality.yields import GOOD, UNDECIDED, Share
 from softcal.db.entries import RunEntry
-from softcal.db.queues.order_queue import Pressed
+from softcal.db.queues.order_queue import UnitPress
 from softcal.db.registry import Registry
 
 FROM_FILE = ""
@@ -58,12 +58,12 @@ class LotFilter:
 
 def lot_runs(registry: Registry, lot_id: str) -> tuple[AttributedRun, ...]:
     """Return every result of a lot in time order with where its recording was pressed."""
-    return attribute_runs(registry.lots.runs(lot_id), registry.order_queue.pressed(lot_id))
+    return attribute_runs(registry.lots.runs(lot_id), registry.order_queue.list_presses(lot_id))
 
 
-def attribute_runs(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[AttributedRun, ...]:
+def attribute_runs(runs: Sequence[RunEntry], pressed: Sequence[UnitPress]) -> tuple[AttributedRun, ...]:
     """Return each run with the press of its unit that began last before the result."""
-    by_serial: dict[str, list[Pressed]] = {}
+    by_serial: dict[str, list[UnitPress]] = {}
     for one in sorted(pressed, key=lambda press: press.begun):
         by_serial.setdefault(one.serial, []).append(one)
     result = []

@@ -76,8 +76,12 @@ def next_step(registry: Registry, status: LotStatus, unmeasured: Sequence[str] |
     if not registry.recordings.of_lot(lot_id, kind="source") and registry.networks.released(lot_id) is None:
         return NextStep("source", values={"serial": lot.source})
     if not status.units or counts["none"] == len(status.units):
-        pressed = {entry.serial for entry in registry.recordings.of_lot(lot_id, kind="unit")}
-        return NextStep("calibrate", "units", {"count": len(pressed)}) if pressed else NextStep("record", "units")
+        pressed_serials = {entry.serial for entry in registry.recordings.of_lot(lot_id, kind="unit")}
+        return (
+            NextStep("calibrate", "units", {"count": len(pressed_serials)})
+            if pressed_serials
+            else NextStep("record", "units")
+        )
     waiting = status.on(Disposition.WAITING)
     if status.limit is None or not status.limit.is_stated:
         return NextStep("limit", "limits", {"count": len(waiting)})

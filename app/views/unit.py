@@ -53,7 +53,7 @@ class UnitView(UnitSignals):
 
 def station_of(registry: Registry, key: UnitKey) -> str:
     """Return the station at which the newest recording of a unit was pressed; "" where it came as a file."""
-    presses = [press for press in registry.order_queue.pressed(key.lot_id) if press.serial == key.serial]
+    presses = [press for press in registry.order_queue.list_presses(key.lot_id) if press.serial == key.serial]
     return max(presses, key=lambda press: press.begun).station if presses else ""
 
 

@@ -58,7 +58,7 @@ def part_of(options: argparse.Namespace, items: Sequence[Item]) -> Sequence[Item
     return items[k - 1 :: n]
 
 
-class Kept:
+class ResultCache:
     """Results by name, in a file where one is named: what was cut off goes on where it ended.
 
     Delete the file when the code has changed.
@@ -67,21 +67,21 @@ class Kept:
     def __init__(self, path: Path | None) -> None:
         self._path = path
         lines = path.read_text().splitlines() if path is not None and path.exists() else []
-        self._known: dict[str, Any] = dict(map(json.loads, lines))
+        self._results: dict[str, Any] = dict(map(json.loads, lines))
 
     def has(self, name: str) -> bool:
         """Whether the result of a name is kept."""
-        return name in self._known
+        return name in self._results
 
-    def of(self, name: str, make: Callable[[], Any]) -> Any:
+    def get(self, name: str, make: Callable[[], Any]) -> Any:
         """Return the result of a name, made now where none is kept."""
-        if name not in self._known:
-            self._known[name] = make()
+        if name not in self._results:
+            self._results[name] = make()
             if self._path is not None:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
                 with self._path.open("a") as file:
-                    file.write(json.dumps([name, self._known[name]]) + "\n")
-        return self._known[name]
+                    file.write(json.dumps([name, self._results[name]]) + "\n")
+        return self._results[name]
 
 
 def median_s(work: Callable[[], object], times: int = 1) -> float:

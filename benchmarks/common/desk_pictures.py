@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from common.planted import planted
-from common.screens import THEMES, Theme, keep_picture, served
+from common.screens import THEMES, Theme, save_picture, served
 from playwright.sync_api import Browser, Page, ViewportSize
 
 from softcal.app.calibration.changes import change_limit
@@ -115,8 +115,8 @@ def write_lot(folder: Path) -> None:
 def columns(recording: OutputRecording, reference: Array | None = None) -> list[tuple[str, Array]]:
     """Return the columns of a lot folder's file."""
     optional = (("reference", reference), ("stage_mm", recording.stage_mm))
-    known = [(name, values) for name, values in optional if values is not None]
-    return [("t_s", recording.t_s), ("output", recording.output), *known]
+    given_columns = [(name, values) for name, values in optional if values is not None]
+    return [("t_s", recording.t_s), ("output", recording.output), *given_columns]
 
 
 def add_golden_runs(registry: Registry) -> None:
@@ -143,12 +143,15 @@ def step(k: int, shift: float, drift: float) -> dict[str, object]:
     """Return one step of an adaptation as the registry keeps it."""
     predicted = 0.061 + 0.00042 * drift * k * (0.6 + k / 200)
     event = "held" if k in (60, 61, 62) else "followed"
-    facts = {"stream": "line 3, week 47", "sample": 9000 * k, "row": 9000 * k, "t_s": 180.0 * k, "event": event}
+    values = {"stream": "line 3, week 47", "sample": 9000 * k, "row": 9000 * k, "t_s": 180.0 * k, "event": event}
     drifted = {"shift": shift, "log_gain": 0.05 * shift, "shift_sd": 0.02 + 1e-4 * k, "log_gain_sd": 0.01}
     alarm = "the predicted error has grown past the limit; calibrate against a reference"
-    said = {"reason": "another use, not drift" if event == "held" else "", "alarm": alarm if predicted > 0.15 else ""}
+    reason_fields = {
+        "reason": "another use, not drift" if event == "held" else "",
+        "alarm": alarm if predicted > 0.15 else "",
+    }
     unit_map = {"gain": 1 - 0.02 * shift, "offset": 0.01 * shift, "predicted_rmse": predicted, "verdict": event}
-    return {**facts, **drifted, **unit_map, **said}
+    return {**values, **drifted, **unit_map, **reason_fields}
 
 
 @contextmanager
@@ -169,7 +172,7 @@ def take(page: Page, address: str, pages: Mapping[str, str], theme: Theme, out: 
     for name, path in pages.items():
         page.goto(f"{address}/{path}")
         settle(page)
-        keep_picture(page, out / f"desk-{name}-{theme}.png")
+        save_picture(page, out / f"desk-{name}-{theme}.png")
 
 
 def settle(page: Page) -> None:

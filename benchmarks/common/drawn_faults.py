@@ -112,23 +112,23 @@ def draw_fault(seed: int, kind: FaultKind | None) -> DrawnFault:
     return DrawnFault(rig, kind, size, float(rng.uniform(0.15, 0.85)))
 
 
-def press_drawn(drawn: DrawnFault) -> str:
+def press_drawn(drawn_fault: DrawnFault) -> str:
     """Return the code of what is said of a rig, "" for nothing."""
-    with open_good_rig(drawn.rig) as (full, station):
-        kind, pending = drawn.kind, [drawn.kind is not None]
+    with open_good_rig(drawn_fault.rig) as (full, station):
+        kind, pending = drawn_fault.kind, [drawn_fault.kind is not None]
         bench = full if kind is None or kind.has_cell else without_cell(full)
         if kind is not None and kind.is_there_before:
             pending = [False]
-            kind.begin(station, drawn.size)
+            kind.begin(station, drawn_fault.size)
 
         def on_progress(progress: RunProgress) -> None:
             if progress.phase == PRESSING and pending[0] and kind is not None:
                 pending[0] = False
-                at_s = station.world.now_s() + drawn.moment * drawn.rig.profile.duration_s
-                station.world.at(at_s, lambda: kind.begin(station, drawn.size))
+                at_s = station.world.now_s() + drawn_fault.moment * drawn_fault.rig.profile.duration_s
+                station.world.at(at_s, lambda: kind.begin(station, drawn_fault.size))
 
         try:
-            recording = record(bench, "F1", drawn.rig.profile, bench.force is not None, on_progress)
+            recording = record(bench, "F1", drawn_fault.rig.profile, bench.force is not None, on_progress)
         except DeviceError as error:
             return root_of(error.reason).code
         remarks = [remark.code for remark in recording.remarks]

@@ -181,5 +181,5 @@ def _beyond_base(motions: list[dict[str, Array]], values: list[Array]) -> list[A
     """Return what inertia and viscous friction cannot take of a force, run by run."""
     rows = np.concatenate([np.stack([m["a"], m["v"]], axis=1) for m in motions])
     every = np.concatenate(values)
-    left = every - rows @ np.linalg.lstsq(rows, every, rcond=None)[0]
-    return np.split(left, np.cumsum([len(v) for v in values])[:-1])
+    residual = every - rows @ np.linalg.lstsq(rows, every, rcond=None)[0]
+    return np.split(residual, np.cumsum([len(v) for v in values])[:-1])

@@ -29,7 +29,7 @@ DISK_MOMENTS = (*MOMENTS, AT_THE_END)
 LOOK_S = 0.5
 """How long the load cell is read to compare what it shows with what was said."""
 
-SAID_N, SAID_MM, RESTS_N = 0.3, 0.05, 0.08
+TOLERANCE_N, TOLERANCE_MM, RESTS_N = 0.3, 0.05, 0.08
 """A force that is said may be off by so much (its zero, its noise), a depth by so much. A stage that is called lifted
 puts no more force on the unit than this: where a soft unit shows none, no load cell tells whether it is touched."""
 
@@ -75,16 +75,16 @@ def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> FaultOutcome:
         folder: where the spool goes.
         seed: of the simulated station.
     """
-    return _tried(fault, folder, seed, lambda path: Spool(path, {"serial": "F1"}))
+    return _run_trial(fault, folder, seed, lambda path: Spool(path, {"serial": "F1"}))
 
 
-def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], Spool]) -> FaultOutcome:
+def _run_trial(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], Spool]) -> FaultOutcome:
     opened = open_simulated_bench(seed=seed, stage_kind=fault.stage_kind, force_kind=fault.force_kind)
     with opened as (full, station):
         bench = full if fault.has_cell else without_cell(full)
-        watch = _Watch(station, fault)
+        monitor = _FaultMonitor(station, fault)
         if not fault.phase:
-            station.world.at(fault.after_s, watch.inject)
+            station.world.at(fault.after_s, monitor.inject)
             station.world.sleep_s(0.001)
         error: DeviceError | None = None
         record_state, is_hanging = "none", False
@@ -92,22 +92,22 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
         station.world.at(HANGS_S, _hang)
         try:
             with make_spool(path) as spool:
-                record(bench, "F1", PROFILE, fault.has_cell, watch.on_progress, spool)
+                record(bench, "F1", PROFILE, fault.has_cell, monitor.on_progress, spool)
             record_state = "good"
         except DeviceError as caught:
             error = caught
         except _Hangs:
             is_hanging = True
         ended_s = station.world.now_s()
-        is_true = error is None or tells_truth(error, bench, station)
+        is_true = error is None or is_report_true(error, bench, station)
         station.world.sleep_s(COAST_S)
         return FaultOutcome(
             fault.name,
-            watch.phase,
+            monitor.phase,
             "hang" if is_hanging else type(error).__name__ if error else "",
             str(error or ""),
-            watch.detected_s(ended_s),
-            watch.stopped_s(),
+            monitor.detected_s(ended_s),
+            monitor.stopped_s(),
             station.rig.largest_force_N,
             record_state,
             str(read_spool(path).end) if path.exists() else "no spool",
@@ -116,14 +116,14 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
         )
 
 
-def tells_truth(error: DeviceError, bench: Bench, station: SimulatedStation, zero_N: float = 0.0) -> bool:
+def is_report_true(error: DeviceError, bench: Bench, station: SimulatedStation, zero_N: float = 0.0) -> bool:
     """Whether what a run that was stopped says of its stage is so, by the rig and by what its load cell shows.
 
     Args:
         zero_N: what the run has taken for the unloaded cell.
     """
-    left, shown_N, now_s = error.reason.values.get("state"), list[float](), station.world.now_s()
-    if not isinstance(left, Reason):
+    lift_state, shown_N, now_s = error.reason.values.get("state"), list[float](), station.world.now_s()
+    if not isinstance(lift_state, Reason):
         return station.rig.carriage_mm <= station.rig.clearance_mm  # Nothing moved.
     try:
         while bench.force is not None and station.world.now_s() < now_s + LOOK_S:
@@ -133,13 +133,13 @@ def tells_truth(error: DeviceError, bench: Bench, station: SimulatedStation, zer
         pass  # Then it must be the truth.
     rig = station.rig
     rig.read(station.world.now_s())
-    if rig.axis.is_moving and left.code not in ("left.runs_on", "left.unreachable"):
+    if rig.axis.is_moving and lift_state.code not in ("left.runs_on", "left.unreachable"):
         return False
     mean_N = [sum(shown_N) / len(shown_N)] if shown_N else []
-    return is_true(left, (rig._force_N, *mean_N), rig.axis.position_mm)
+    return is_true(lift_state, (rig._force_N, *mean_N), rig.axis.position_mm)
 
 
-def is_true(left: Reason, force_N: Sequence[float], counted_mm: float) -> bool:
+def is_true(lift_state: Reason, force_N: Sequence[float], counted_mm: float) -> bool:
     """Whether a sentence about the stage is so.
 
     Args:
@@ -147,13 +147,13 @@ def is_true(left: Reason, force_N: Sequence[float], counted_mm: float) -> bool:
         force_N: true force on the unit, and what the load cell shows: a sentence may give either.
         counted_mm: position by the controller's count.
     """
-    if left.code in ("left.lifted", "left.lifted_roughly"):
+    if lift_state.code in ("left.lifted", "left.lifted_roughly"):
         return force_N[0] <= RESTS_N
-    said_N, said_mm = left.values.get("force_N"), left.values.get("at_mm", counted_mm)
-    is_force_so = said_N is None or any(abs(float(said_N) - newton) <= SAID_N for newton in force_N)  # type: ignore[arg-type]
-    inner = left.values.get("state")
+    reported_N, reported_mm = lift_state.values.get("force_N"), lift_state.values.get("at_mm", counted_mm)
+    is_force_so = reported_N is None or any(abs(float(reported_N) - newton) <= TOLERANCE_N for newton in force_N)  # type: ignore[arg-type]
+    inner = lift_state.values.get("state")
     is_inner_so = not isinstance(inner, Reason) or is_true(inner, force_N, counted_mm)
-    return is_force_so and is_inner_so and abs(float(said_mm) - counted_mm) <= SAID_MM  # type: ignore[arg-type]
+    return is_force_so and is_inner_so and abs(float(reported_mm) - counted_mm) <= TOLERANCE_MM  # type: ignore[arg-type]
 
 
 def without_cell(bench: Bench) -> Bench:
@@ -179,7 +179,7 @@ def run_with_full_disk(folder: Path, moment: str = "while pressing", seed: int =
 
     phase, after_s = MOMENTS.get(moment, (RETURNING, 1e6))
     fault = Fault(f"disk full {moment}", phase, after_s, lambda station: spool[0].fill())
-    return _tried(fault, folder, seed, make_spool)
+    return _run_trial(fault, folder, seed, make_spool)
 
 
 def run_with_dead_host(folder: Path, seed: int = 0) -> FaultOutcome:
@@ -187,15 +187,15 @@ def run_with_dead_host(folder: Path, seed: int = 0) -> FaultOutcome:
     path = folder / "run.spool"
     with open_simulated_bench(seed=seed) as (bench, station):
         died_s = float("nan")
-        spool_says = ""
+        spool_end = ""
 
         def on_progress(progress: RunProgress) -> None:
-            nonlocal died_s, spool_says
+            nonlocal died_s, spool_end
             if progress.phase != PRESSING or progress.stage_mm < station.free_mm + 2.0:
                 return
             died_s = station.world.now_s()
             station.world.sleep_s(COAST_S)
-            spool_says = str(read_spool(path).end)
+            spool_end = str(read_spool(path).end)
             raise _HostDied
 
         try:
@@ -203,11 +203,19 @@ def run_with_dead_host(folder: Path, seed: int = 0) -> FaultOutcome:
                 record(bench, "F1", PROFILE, True, on_progress, spool)
         except _HostDied:
             pass
-        stands_s = max(0.0, station.axis.standstills_s[-1] - died_s)
+        standstill_s = max(0.0, station.axis.standstills_s[-1] - died_s)
         message = "the station's service was started again; press the unit again"
         force_N = station.rig.largest_force_N
         return FaultOutcome(
-            "host process killed while pressing", PRESSING, "none", message, 0.0, stands_s, force_N, "none", spool_says
+            "host process killed while pressing",
+            PRESSING,
+            "none",
+            message,
+            0.0,
+            standstill_s,
+            force_N,
+            "none",
+            spool_end,
         )
 
 
@@ -228,18 +236,18 @@ class FillingSpool(Spool):
         super().__init__(path, header)
         self._is_full_at_end, self._before = is_full_at_end, self._file
 
-    def add_metadata(self, facts: dict[str, Any]) -> None:
+    def add_metadata(self, metadata: dict[str, Any]) -> None:
         if self._is_full_at_end:
             self.fill()
-        super().add_metadata(facts)
+        super().add_metadata(metadata)
 
     def fill(self) -> None:
         # The file of before stays open: the writing thread may be in the middle of a line.
         self._before, self._file = self._file, Path("/dev/full").open("ab")
         self._is_filled = True
 
-    def _put(self, value: dict[str, Any]) -> None:
-        super()._put(value)
+    def _write_line(self, value: dict[str, Any]) -> None:
+        super()._write_line(value)
         # Simulated time stands still meanwhile: on a busy machine much of it would pass before the line is written.
         while self._is_filled and self._error is None and self._thread.is_alive():
             time.sleep(0.0005)
@@ -251,7 +259,7 @@ class FillingSpool(Spool):
             self._before.close()
 
 
-class _Watch:
+class _FaultMonitor:
     def __init__(self, station: SimulatedStation, fault: Fault) -> None:
         self._station, self._fault = station, fault
         self._stage = station.stage if fault.stage_kind == "grbl" else None
@@ -281,9 +289,9 @@ class _Watch:
         """When the stage came to rest for good: at the stop byte, before it, or without one."""
         if self._at_s is None or not self._fault.phase or self._stage is None:
             return float("nan")
-        stop_s, stands = self._stage.stop_received_s, self._station.axis.standstills_s
+        stop_s, standstills = self._stage.stop_received_s, self._station.axis.standstills_s
         if stop_s is not None and self._stage.was_moving_at_stop:
-            rest_s = min(stand_s for stand_s in stands if stand_s >= stop_s)
+            rest_s = min(stand_s for stand_s in standstills if stand_s >= stop_s)
         else:
-            rest_s = max((s for s in stands if stop_s is None or s <= stop_s), default=0.0)
+            rest_s = max((s for s in standstills if stop_s is None or s <= stop_s), default=0.0)
         return max(0.0, rest_s - self._at_s)

@@ -31,12 +31,12 @@ class Unit:
         Args:
             calibrated: its recording at calibration, where it is not the source itself.
         """
-        known = (self.network, self.calibration, calibrated or self.source.unlabelled)
+        calibration_inputs = (self.network, self.calibration, calibrated or self.source.unlabelled)
         mode, _, queue = mode.partition(" ")
         if mode not in QUEUES:
-            return Adapter(*known, AdaptConfig(mode))
+            return Adapter(*calibration_inputs, AdaptConfig(mode))
         online = OnlineConfig(int(queue)) if queue else OnlineConfig()
-        return QueuedTransport(*known, self.source, AdaptConfig(mode, DriftTracking(online=online)))
+        return QueuedTransport(*calibration_inputs, self.source, AdaptConfig(mode, DriftTracking(online=online)))
 
 
 def calibrate(t_s: Array, output: Array, reference: Array, rate_Hz: float, config: NetworkConfig) -> Unit:

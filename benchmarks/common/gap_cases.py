@@ -15,12 +15,12 @@ from softcal.core.challenge.cases import RunPlan, SealedCase
 from softcal.core.challenge.explained_fraction import residual_rms
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis
-from softcal.core.gap.places import explained_twin
+from softcal.core.gap.fault_location import explained_twin
 from softcal.core.gap.twin import diagnose
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, simulate, twin_from_record, twin_record
 
-LEAST_GAP = 0.05
+MIN_GAP = 0.05
 """Below this, in units of the noise, the base leaves no gap on that run whose shrink could be told."""
 
 CLOSE = 0.10
@@ -32,18 +32,18 @@ def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
     rig = sealed.rig
     readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
     runs = []
-    for number, found in enumerate(sealed.write_runs(plans), start=1):
-        measured, stated = found.measured, replace(readout, sample_rate_Hz=found.sample_rate_Hz)
+    for number, run in enumerate(sealed.write_runs(plans), start=1):
+        measured, run_readout = run.measured, replace(readout, sample_rate_Hz=run.sample_rate_Hz)
         columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
-        kept = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm, **columns}
-        runs.append(Run(name=f"runs/{number}", readout=stated, **kept))  # type: ignore[arg-type]
+        columns_kept = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm, **columns}
+        runs.append(Run(name=f"runs/{number}", readout=run_readout, **columns_kept))  # type: ignore[arg-type]
     return Case(sealed.name, tuple(runs))
 
 
 def realised_by(twin: Twin, base: Twin, sealed: SealedCase) -> float:
     """Return 1 − (after − floor)/(before − floor) on the run kept back, channels in units of their noise."""
     before = _gap(base, sealed)
-    return float("nan") if before < LEAST_GAP else 1.0 - _gap(twin, sealed) / before
+    return float("nan") if before < MIN_GAP else 1.0 - _gap(twin, sealed) / before
 
 
 def _gap(twin: Twin, sealed: SealedCase) -> float:
@@ -51,12 +51,12 @@ def _gap(twin: Twin, sealed: SealedCase) -> float:
     columns = measured.columns
     # The steps of the ADC are in the recording already; a second rounding would count as a gap.
     fine = replace(twin, metadata=replace(twin.metadata, adc_bits=32))
-    told = simulate(fine, columns["t_s"], columns["stage_mm"], None, columns.get("temperature_C"))
+    predicted = simulate(fine, columns["t_s"], columns["stage_mm"], None, columns.get("temperature_C"))
     noise = (sealed.rig.noise_floor_V, sealed.rig.noise_N)
-    floors = residual_rms(sealed, measured, sealed.rig, sealed.causes)
-    names, values = ("output_V", "force_N"), (told[1], told[0])
+    noise_floors = residual_rms(sealed, measured, sealed.rig, sealed.causes)
+    names, values = ("output_V", "force_N"), (predicted[1], predicted[0])
     errors = [float(np.sqrt(np.mean((columns[n] - v) ** 2))) / s for n, v, s in zip(names, values, noise, strict=True)]
-    return sum(max(0.0, error - floor) for error, floor in zip(errors, floors, strict=True))
+    return sum(max(0.0, error - noise_floor) for error, noise_floor in zip(errors, noise_floors, strict=True))
 
 
 def through_file(twin: Twin) -> Twin:
@@ -75,22 +75,22 @@ def print_twins(cases: Sequence[SealedCase]) -> None:
     )
 
 
-def _row(found: Diagnosis, sealed: SealedCase, far: list[tuple[float, float, bool]]) -> tuple[str, ...]:
+def _row(diagnosis: Diagnosis, sealed: SealedCase, far: list[tuple[float, float, bool]]) -> tuple[str, ...]:
     hidden = " + ".join(f"{c.effect} ({c.form})" for c in sealed.causes)
-    if found.verdict == "data":
+    if diagnosis.verdict == "data":
         return hidden, "data", "none", "", ""
-    forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in explained_twin(found.best).effects]
-    twin, shrink, what = explained_twin(found.best), found.explained_fraction, ", ".join(forms)
+    forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in explained_twin(diagnosis.best).effects]
+    twin, shrink, what = explained_twin(diagnosis.best), diagnosis.explained_fraction, ", ".join(forms)
     if sealed.line == "outside":
-        if found.residual is None:
-            return hidden, found.verdict, "no empirical term", "", ""
-        twin = explained_twin(found.residual.fit, [one.term for one in found.residual.terms])
-        shrink = found.residual.explained_fraction
-        what = "; ".join([*found.residual.other_causes, *(one.term.formula for one in found.residual.terms)])
+        if diagnosis.residual is None:
+            return hidden, diagnosis.verdict, "no empirical term", "", ""
+        twin = explained_twin(diagnosis.residual.fit, [one.term for one in diagnosis.residual.terms])
+        shrink = diagnosis.residual.explained_fraction
+        what = "; ".join([*diagnosis.residual.other_causes, *(one.term.formula for one in diagnosis.residual.terms)])
     if not twin.effects and not twin.empirical:
-        return hidden, found.verdict, "the base alone", "", ""
-    got = realised_by(through_file(twin), explained_twin(found.base), sealed)
-    if np.isfinite(got):
-        far.append((shrink.predicted, got, shrink.low <= got <= shrink.high))
-    told = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
-    return hidden, found.verdict, what, told, f"{got:.2f}"
+        return hidden, diagnosis.verdict, "the base alone", "", ""
+    realised = realised_by(through_file(twin), explained_twin(diagnosis.base), sealed)
+    if np.isfinite(realised):
+        far.append((shrink.predicted, realised, shrink.low <= realised <= shrink.high))
+    forecast_text = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
+    return hidden, diagnosis.verdict, what, forecast_text, f"{realised:.2f}"

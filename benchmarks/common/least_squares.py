@@ -37,23 +37,23 @@ def fitted_set(
     pairs = [(p.name, p) for p in simulator.base]
     pairs += [(f"{cause.id}.{p.name}", p) for cause in causes for p in cause.parameters]
     low, high, usual = (np.array([getattr(p, end) for _, p in pairs]) for end in ("low", "high", "usual"))
-    rng, best, least = np.random.default_rng(len(causes)), dict[str, float](), np.inf
+    rng, best, min_error = np.random.default_rng(len(causes)), dict[str, float](), np.inf
 
-    def named(values: Array) -> dict[str, float]:
+    def values_by_name(values: Array) -> dict[str, float]:
         return simulator.neutral_values | {name: float(v) for (name, _), v in zip(pairs, values, strict=True)}
 
     for start in range(starts):
         at = usual if start == 0 else usual * np.exp(rng.uniform(-1.5, 1.5, len(usual))) * rng.choice([-1.0, 1.0])
         span = np.maximum(np.abs(usual), 1e-12)
-        found = least_squares(
-            lambda values: _errors(simulator, runs, named(values)),
+        solution = least_squares(
+            lambda values: _errors(simulator, runs, values_by_name(values)),
             np.clip(at, low, high),
             bounds=(low, high),
             x_scale=span,
             max_nfev=60,
         )
-        if found.cost < least:
-            best, least = named(found.x), float(found.cost)
+        if solution.cost < min_error:
+            best, min_error = values_by_name(solution.x), float(solution.cost)
     return best
 
 
@@ -62,13 +62,13 @@ def best_sets(
     fitted: Sequence[SimulatorRun],
     held_out: Sequence[SimulatorRun],
     starts: int = 3,
-    most: int = 3,
+    max_size: int = 3,
 ) -> list[tuple[tuple[str, ...], float, float]]:
     """Return every set of up to so many causes with its error on fitted and held-out runs, the best held out first."""
     out = []
-    for size in range(most + 1):
+    for size in range(max_size + 1):
         for causes in combinations(simulator.candidates, size):
-            found = fitted_set(simulator, fitted, causes, starts)
+            fit = fitted_set(simulator, fitted, causes, starts)
             ids = tuple(sorted(c.id for c in causes))
-            out.append((ids, error_of(simulator, fitted, found), error_of(simulator, held_out, found)))
+            out.append((ids, error_of(simulator, fitted, fit), error_of(simulator, held_out, fit)))
     return sorted(out, key=lambda row: row[2])

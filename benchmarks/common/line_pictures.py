@@ -14,11 +14,11 @@ from common.screens import (
     THEMES,
     PlayedLine,
     Theme,
-    keep_picture,
+    gate_condition,
     pressed_signal,
-    seen,
+    save_picture,
     served,
-    stated,
+    statement,
 )
 from playwright.sync_api import Browser, Page, ViewportSize
 
@@ -30,10 +30,10 @@ SIZE = ViewportSize(width=1280, height=800)
 UNPLUGGED = reason("rig.silent.between", device="sensor readout (/dev/ttyACM1)", seconds=2.0)
 CLIPPED = (
     reason("saturated", level=reason("part.level", level=1.62, unit="V"), share=0.081),
-    stated(0.31, 0.22, 0.41, "above"),
+    statement(0.31, 0.22, 0.41, "above"),
 )
 NOISY = (reason("dead.noise", spread=0.004, unit="V", cure=reason("part.check_cable")),)
-NEAR = (stated(0.118, 0.084, 0.16, "within_close"),)
+NEAR = (statement(0.118, 0.084, 0.16, "within_close"),)
 LAST = ("pass", "pass", "conditional", "pass", "pass", "fail", "pass", "pass", "pass", "pass", "pass", "pass")
 
 
@@ -47,34 +47,34 @@ def press_some(line: PlayedLine) -> None:
 
 
 def run(line: PlayedLine) -> None:
-    order = line.place(serial(40))
-    line.beat(StationState.RUNNING)
+    order = line.place_order(serial(40))
+    line.write_heartbeat(StationState.RUNNING)
     line.queue.report(Progress(order.order_id, RunState.RUNNING, "pressing", 0.72, 11.0, signal=pressed_signal()))
 
 
 def end_run(line: PlayedLine) -> None:
-    order, _ = line.queue.active(STATION) or (line.place(serial(40)), None)
+    order, _ = line.queue.active(STATION) or (line.place_order(serial(40)), None)
     line.end(order, "pass")
-    line.beat()
+    line.write_heartbeat()
 
 
 def stop(line: PlayedLine) -> None:
     line.press(serial(45), "", (), "E-SILENT", UNPLUGGED)
-    line.beat(StationState.STOPPED, why=UNPLUGGED)
+    line.write_heartbeat(StationState.STOPPED, why=UNPLUGGED)
 
 
 def close(line: PlayedLine) -> None:
-    line.beat(StationState.CLOSED, gate=(*GOOD[:-1], seen("golden", "no_golden", is_good=False)))
+    line.write_heartbeat(StationState.CLOSED, gate=(*GOOD[:-1], gate_condition("golden", "no_golden", is_good=False)))
 
 
 STATES: dict[str, tuple[str, Callable[[PlayedLine], None], str]] = {
-    "ready": ("ready", lambda line: line.beat(), ""),
+    "ready": ("ready", lambda line: line.write_heartbeat(), ""),
     "scanned": ("armed", press_some, serial(40)),
     "running": ("running", run, ""),
     "pass": ("pass", end_run, ""),
     "check": ("conditional", lambda line: line.press(serial(42), "conditional", NEAR), ""),
     "fail": ("fail", lambda line: line.press(serial(43), "fail", CLIPPED), ""),
-    "press-again": ("ask", lambda line: line.beat(), serial(43)),
+    "press-again": ("ask", lambda line: line.write_heartbeat(), serial(43)),
     "again": ("retest", lambda line: line.press(serial(44), "retest", NOISY), ""),
     "stopped": ("stopped", stop, ""),
     "not-ready": ("closed", close, serial(46)),
@@ -110,7 +110,7 @@ def take(page: Page, state: str, scanned: str, path: Path) -> None:
         page.locator("canvas").first.wait_for()
     page.locator("[data-test-script-state=notRunning]").wait_for(state="attached")
     page.wait_for_timeout(1000)
-    keep_picture(page, path)
+    save_picture(page, path)
 
 
 def take_all(browser: Browser, out: Path, language: str) -> None:

@@ -11,7 +11,7 @@ from softcal.core.challenge.rig import Cause
 SIZE_SPREAD = 0.3
 """Standard deviation of the logarithm of a cause's size from unit to unit."""
 
-OWN_SIZE = {
+SIZES_BY_UNIT = {
     "width_mm",
     "shift_mm",
     "compliance_mm_per_N",
@@ -46,13 +46,17 @@ def draw_lot(seed: int, line: str, units: int) -> list[SealedCase]:
     rng = np.random.default_rng([seed, 50_021])
     lot = []
     for number in range(1, units + 1):
-        own = draw_sister_unit(first, rng)
+        sister_unit = draw_sister_unit(first, rng)
         # Every unit has its own noise: other electronics channels, another day.
-        noise = replace(own.rig, noise_V=own.rig.noise_V * _near(rng, 0.2), noise_N=own.rig.noise_N * _near(rng, 0.2))
+        noise = replace(
+            sister_unit.rig,
+            noise_V=sister_unit.rig.noise_V * _near(rng, 0.2),
+            noise_N=sister_unit.rig.noise_N * _near(rng, 0.2),
+        )
         plans = tuple(RunPlan(p.protocol, draw_seed(rng)) for p in first.plans)
         lot.append(
             replace(
-                own,
+                sister_unit,
                 name=f"unit-{number:02d}",
                 rig=noise,
                 causes=tuple(_resized(rng, cause) for cause in first.causes),
@@ -70,5 +74,5 @@ def _near(rng: np.random.Generator, spread: float) -> float:
 
 def _resized(rng: np.random.Generator, cause: Cause) -> Cause:
     return replace(
-        cause, values={n: v * (_near(rng, SIZE_SPREAD) if n in OWN_SIZE else 1.0) for n, v in cause.values.items()}
+        cause, values={n: v * (_near(rng, SIZE_SPREAD) if n in SIZES_BY_UNIT else 1.0) for n, v in cause.values.items()}
     )

@@ -40,9 +40,9 @@ def egain(serial: str) -> LabelledRecording:
     return labelled(serial, pd.read_csv(DATA / "egain_pair" / f"{serial}.csv"))
 
 
-def skin(place: str) -> LabelledRecording:
+def skin(position: str) -> LabelledRecording:
     """One place of the skin, its trials joined, at the 50 Hz that fit its speeds."""
-    return labelled(place, pd.read_parquet(DATA / "skin_places" / f"{place}.parquet"))
+    return labelled(position, pd.read_parquet(DATA / "skin_places" / f"{position}.parquet"))
 
 
 def labelled(serial: str, table: pd.DataFrame) -> LabelledRecording:
@@ -70,8 +70,8 @@ def taxel(table: pd.DataFrame, name: str, rows: Array | None = None) -> Labelled
 
 def split(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Masks of the insole's rows to fit and of its held-out quarter: eight stretches spread over the programme."""
-    held = np.arange(count) * STRETCHES // count % 4 == 2
-    return ~held, held
+    is_test = np.arange(count) * STRETCHES // count % 4 == 2
+    return ~is_test, is_test
 
 
 def verdict_word(problem: FitProblem, model: SourceModel) -> str:
@@ -154,8 +154,8 @@ def thinned(windows: Array) -> Array:
     return np.array(windows[_spread(len(windows), EXACT_ROWS)])
 
 
-def _spread(count: int, most: int) -> np.ndarray:
-    return np.linspace(0, count - 1, min(count, most)).astype(int)
+def _spread(count: int, maximum: int) -> np.ndarray:
+    return np.linspace(0, count - 1, min(count, maximum)).astype(int)
 
 
 def own_error(train: LabelledRecording, test: LabelledRecording, config: NetworkConfig) -> float:

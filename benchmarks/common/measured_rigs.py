@@ -49,8 +49,8 @@ class MeasuredRig:
         return [out[name] for name in names]
 
 
-def _one(name: str, place: str, unit: str, limit: float, usual: float) -> Effect:
-    return candidate(name, place, Parameter("size", unit, -limit, limit, usual, neutral=0.0))
+def _one(name: str, channel: str, unit: str, limit: float, usual: float) -> Effect:
+    return candidate(name, channel, Parameter("size", unit, -limit, limit, usual, neutral=0.0))
 
 
 def _friction(v: Array, a: Array, p: Mapping[str, float]) -> Array:
@@ -116,8 +116,8 @@ JOINT = Simulator(
 
 
 def _beam(inputs: Columns, p: Mapping[str, float]) -> Columns:
-    t_s, angle, place = inputs["t_s"], inputs["angle_rad"], inputs["position"]
-    out, x, v = np.empty(len(t_s)), float(place[0]), p["start_speed"]
+    t_s, angle, position = inputs["t_s"], inputs["angle_rad"], inputs["position"]
+    out, x, v = np.empty(len(t_s)), float(position[0]), p["start_speed"]
     for n in range(len(t_s)):
         out[n] = x
         h = 0.05

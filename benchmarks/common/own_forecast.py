@@ -27,7 +27,7 @@ COEFFICIENTS = {
 """By how the loads are known: benchmarks/verdict.py --fit --seeds 1000 1040, ratio of own calibrations."""
 
 
-def forecast_own(terms: Mapping[str, float], kind: str) -> float:
+def forecast_own_error(terms: Mapping[str, float], kind: str) -> float:
     """Return the RMSE, in the reference unit, of a network trained on the unit's own labels: u^2 = sum (c u)^2."""
     return float(np.sqrt(sum((c * terms[name]) ** 2 for name, c in COEFFICIENTS[kind].items())))
 
@@ -42,8 +42,8 @@ def own_terms(problem: UnitProblem) -> dict[str, float]:
       show; no network that reads windows could do better.
     """
     model, target = problem.source, problem.recording.bridged
-    network, known, method = model.network, model.source.unlabelled, model.method
-    limits = output_limits(problem.recording, known, is_rising=model.interval.slope_limit > 0, method=method)
+    network, source, method = model.network, model.source.unlabelled, model.method
+    limits = output_limits(problem.recording, source, is_rising=model.interval.slope_limit > 0, method=method)
     chosen = choose_map(problem.fit)
     evidence = gather_evidence(
         model,
@@ -56,7 +56,7 @@ def own_terms(problem: UnitProblem) -> dict[str, float]:
     budget, rows = evidence.budget, method.map.pairs.pairs // 2
     # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
     estimate = evidence.estimate if len(evidence.rows) == len(target.windows) else None
-    noise = noise_error(network, target, rows, chosen.unit_map, estimate) ** 2 - noise_error(network, known, rows) ** 2
+    noise = noise_error(network, target, rows, chosen.unit_map, estimate) ** 2 - noise_error(network, source, rows) ** 2
     # The line spreads loads, not outputs: an own calibration sees the loads.
     forecast = forecast_error(
         {name: u for name, u in budget.items() if name not in (DAY, LINE)}, evidence.correspondence

@@ -29,7 +29,7 @@ class LineEffects(SteadyLine):
     day_gain: float = 0.0
     day_zero: float = 0.0
 
-    def pressed(self, rng: np.random.Generator, twin: Twin) -> Twin:
+    def press_unit(self, rng: np.random.Generator, twin: Twin) -> Twin:
         """Return the unit as the press of the line meets it: its load at equal travel is off by a factor."""
         if not self.load_spread:
             return twin

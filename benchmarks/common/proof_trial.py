@@ -97,13 +97,13 @@ def press_good_rig(
     """
     with open_good_rig(rig) as (bench, station):
 
-        def press(kept: Spool | None) -> StationRecording:
-            return record(bench, "P1", rig.profile, True, lambda progress: on_progress(progress, station), kept)
+        def press(spool: Spool | None) -> StationRecording:
+            return record(bench, "P1", rig.profile, True, lambda progress: on_progress(progress, station), spool)
 
         if spool is None:
             return press(None)
-        with Spool(spool, {"serial": "P1"}) as kept:
-            return press(kept)
+        with Spool(spool, {"serial": "P1"}) as run_spool:
+            return press(run_spool)
 
 
 def _draw_law(rng: np.random.Generator) -> tuple[str, Callable[[np.random.Generator], Physics]]:

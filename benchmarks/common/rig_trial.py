@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from common.fault_trial import tells_truth
+from common.fault_trial import is_report_true
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
@@ -159,7 +159,7 @@ def press(case: RigCase, profile: Profile) -> RigOutcome:
             why = error
         depth_mm = station.axis.deepest_mm - case.surface_mm
         is_up = station.rig.carriage_mm <= case.surface_mm
-        is_true = is_up if why is None else tells_truth(why, bench, station)
+        is_true = is_up if why is None else is_report_true(why, bench, station)
         largest_N = float(case.law.force_N(depth_mm))
         return RigOutcome(largest_N, str(why or ""), is_up, is_true, station.world.now_s())
 
@@ -178,17 +178,17 @@ def press_until_gone(case: RigCase, profile: Profile, phase: str, at_mm: float) 
     Returns:
         The force in N; None where the run never came there.
     """
-    seen, deepest_mm = [""], list[float]()
+    phases_seen, deepest_mm = [""], list[float]()
     with open_rig(case) as (bench, station):
 
         def die_there() -> None:
-            if seen[0] == phase and station.axis.position_mm - case.surface_mm >= at_mm:
+            if phases_seen[0] == phase and station.axis.position_mm - case.surface_mm >= at_mm:
                 station.world.sleep_s(GONE_S)
                 deepest_mm.append(station.axis.deepest_mm)
                 raise _HostGone
 
         def follow(progress: RunProgress) -> None:
-            seen[0] = progress.phase
+            phases_seen[0] = progress.phase
 
         try:
             record(bench, "S1", profile, True, follow, None, die_there)

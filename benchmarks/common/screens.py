@@ -40,29 +40,29 @@ Theme = Literal["light", "dark"]
 THEMES: tuple[Theme, ...] = ("light", "dark")
 
 
-def seen(name: str, fact: str, is_good: bool = True, **values: Value) -> Condition:
+def gate_condition(name: str, text: str, is_good: bool = True, **values: Value) -> Condition:
     """Return one thing the gate looked at: the name and the fact are codes of the gate."""
-    return Condition(reason(f"gate.name.{name}"), is_good, reason(f"gate.{fact}", **values))
+    return Condition(reason(f"gate.name.{name}"), is_good, reason(f"gate.{text}", **values))
 
 
 GOOD = (
-    seen("certificate", "valid", number="DKD-K-0417", day="2027-02-28"),
-    seen("force_range", "reaches", force_N=12.0, most_N=20.0),
-    seen("warm_up", "warm", minutes=184),
-    seen("zero_return", "zero", moved_N=0.004, limit_N=0.2),
-    seen("homing", "homed"),
-    seen("golden", "golden", serial="G-03", at="06:12"),
+    gate_condition("certificate", "valid", number="DKD-K-0417", day="2027-02-28"),
+    gate_condition("force_range", "reaches", force_N=12.0, most_N=20.0),
+    gate_condition("warm_up", "warm", minutes=184),
+    gate_condition("zero_return", "zero", moved_N=0.004, limit_N=0.2),
+    gate_condition("homing", "homed"),
+    gate_condition("golden", "golden", serial="G-03", at="06:12"),
 )
 
 
-def stated(rmse: float, lower: float, upper: float, relation: str) -> Reason:
+def statement(rmse: float, lower: float, upper: float, relation: str) -> Reason:
     """Return the statement on a forecast against the limit of the lot."""
     numbers: dict[str, Value] = {"rmse": rmse, "lower": lower, "upper": upper, "limit": 0.12, "unit": "N"}
     phrases = {"source": "part.predicted", "relation": f"part.{relation}", "origin": "part.stated"}
     return reason("statement", **numbers, **{name: Reason(code) for name, code in phrases.items()})
 
 
-WITHIN = (stated(0.071, 0.051, 0.096, "within"),)
+WITHIN = (statement(0.071, 0.051, 0.096, "within"),)
 
 
 class PlayedLine:
@@ -76,13 +76,13 @@ class PlayedLine:
         registry.lots.set_line_rules(LOT, LineRules(r"EG-2411-\d{3}", "upper", 120), reason="order of the customer")
         self._count = 0
 
-    def beat(
+    def write_heartbeat(
         self, state: StationState = StationState.READY, gate: tuple[Condition, ...] = GOOD, why: Reason | None = None
     ) -> None:
         """Say that the station is there, and go on saying so every second."""
         reasons = (why,) if why else tuple(c.says for c in gate if not c.is_good)
         self._says = Heartbeat(STATION, state, datetime.now(UTC), reasons, "rig:1", gate=gate)
-        self.queue.beat(self._says)
+        self.queue.write_heartbeat(self._says)
 
     @contextmanager
     def alive(self) -> Iterator[None]:
@@ -91,9 +91,9 @@ class PlayedLine:
 
         def go_on() -> None:
             while not is_over.wait(1.0):
-                self.queue.beat(replace(self._says, at=datetime.now(UTC)))
+                self.queue.write_heartbeat(replace(self._says, at=datetime.now(UTC)))
 
-        self.beat()
+        self.write_heartbeat()
         heart = threading.Thread(target=go_on, daemon=True)
         heart.start()
         try:
@@ -102,7 +102,7 @@ class PlayedLine:
             is_over.set()
             heart.join()
 
-    def place(self, serial: str, kind: OrderKind = OrderKind.UNIT) -> Order:
+    def place_order(self, serial: str, kind: OrderKind = OrderKind.UNIT) -> Order:
         """Order a run and let the station take it."""
         self._count += 1
         self.queue.place(Order(f"run-{self._count}", STATION, kind, serial, LOT, "Kim Ji-woo"))
@@ -123,14 +123,14 @@ class PlayedLine:
         ended = RunState.ERROR if code else RunState.DONE
         if verdict:
             self.registry.calibrations.add(LOT, self._result(order.serial, Verdict(verdict), reasons))
-        told = (message,) if message else reasons
-        self.queue.report(Progress(order.order_id, ended, "done", 1.0, code=code, message=told, verdict=verdict))
+        messages = (message,) if message else reasons
+        self.queue.report(Progress(order.order_id, ended, "done", 1.0, code=code, message=messages, verdict=verdict))
 
     def _result(self, serial: str, verdict: Verdict, reasons: tuple[Reason, ...]) -> UnitState:
-        made = state(serial, self._count, self.network_id)
-        found = () if verdict.is_open else tuple(Finding(why, verdict) for why in reasons)
-        fit = replace(made.fit, forecast=ErrorForecast(0.071, 0.051, 0.096), findings=found)
-        result = replace(made, fit=fit, limit=Limit("N", 0.12))
+        unit_state = state(serial, self._count, self.network_id)
+        findings = () if verdict.is_open else tuple(Finding(why, verdict) for why in reasons)
+        fit = replace(unit_state.fit, forecast=ErrorForecast(0.071, 0.051, 0.096), findings=findings)
+        result = replace(unit_state, fit=fit, limit=Limit("N", 0.12))
         if verdict is not Verdict.PASS:
             return result
         release = SampleRelease(
@@ -156,7 +156,7 @@ class PlayedLine:
         message: Reason | None = None,
     ) -> None:
         """Press one unit from order to end."""
-        self.end(self.place(serial), verdict, reasons, code, message)
+        self.end(self.place_order(serial), verdict, reasons, code, message)
 
 
 def pressed_signal(seconds: float = 38.0) -> Signal:
@@ -174,8 +174,8 @@ def pressed_signal(seconds: float = 38.0) -> Signal:
 def served(url: str) -> Iterator[tuple[str, int]]:
     """Serve the application on a registry; give its address and the id of its process."""
     command = [sys.executable, "-m", "softcal.app.ui.server", "--server.address=127.0.0.1", "--logger.level=error"]
-    with served_by(command, dict(os.environ) | {"SOFTCAL_REGISTRY": url}) as found:
-        yield found
+    with served_by(command, dict(os.environ) | {"SOFTCAL_REGISTRY": url}) as address:
+        yield address
 
 
 @contextmanager
@@ -212,10 +212,10 @@ def write_figure(figure: Figure, file: Path) -> None:
         page = browser.new_page(viewport={"width": 1100, "height": 430}, device_scale_factor=1.5)
         page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
         page.locator(".main-svg").first.wait_for()
-        keep_picture(page, file)
+        save_picture(page, file)
 
 
-def keep_picture(page: Page, path: Path) -> None:
+def save_picture(page: Page, path: Path) -> None:
     """Take a picture of what a browser shows, in 128 colours, and say how large it is."""
     page.screenshot(path=path)
     Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(path, optimize=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from common.own_forecast import forecast_own, own_terms
+from common.own_forecast import forecast_own_error, own_terms
 from common.planted import FAULTS, planted
 
 from softcal.core.errors import InputError, UnitRefused
@@ -78,7 +78,9 @@ class Case:
         """Forecast error over that forecast for a calibration of its own: what ranks the units; infinite if refused."""
         if self.calibration is None:
             return float("inf")
-        return self.calibration.predicted_rmse / forecast_own(self.own_terms, self.calibration.fit.correspondence.kind)
+        return self.calibration.predicted_rmse / forecast_own_error(
+            self.own_terms, self.calibration.fit.correspondence.kind
+        )
 
 
 def lot_design(seed: int, faults: tuple[str, ...] = tuple(FAULTS)) -> LotDesign:
@@ -102,10 +104,12 @@ def cases(seeds: range, faults: tuple[str, ...] = tuple(FAULTS), has_own: bool =
             split = int(TRAIN_SHARE * len(unit.audit))
             test = unit.audit.part(split, len(unit.audit))
             own = _own_rmse(unit.audit.part(0, split), test) if has_own else float("nan")
-            yield judged(seed, design, unit, own, trained.network, model)
+            yield calibrate_case(seed, design, unit, own, trained.network, model)
 
 
-def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, network: Network, model: SourceModel) -> Case:
+def calibrate_case(
+    seed: int, design: LotDesign, unit: SimulatedUnit, own: float, network: Network, model: SourceModel
+) -> Case:
     """Calibrate one unit and set the truth beside it."""
     test = unit.audit.part(int(TRAIN_SHARE * len(unit.audit)), len(unit.audit))
     problem = UnitProblem(model, unit.recording)
@@ -138,11 +142,11 @@ def _calibrate(problem: UnitProblem) -> UnitState | None:
 
 def _own_rmse(train: LabelledRecording, test: LabelledRecording) -> float:
     try:
-        own = fit_network(train, NETWORK).network
+        own_network = fit_network(train, NETWORK).network
     except InputError:
         # A dead or clipped unit teaches nothing: its own calibration is the mean load.
         return float(np.std(test.window_reference))
-    return rmse(own.evaluate(test.windows), test.window_reference)
+    return rmse(own_network.evaluate(test.windows), test.window_reference)
 
 
 def coverage(result: Estimate, test: LabelledRecording, trusted_only: bool = False) -> float:

@@ -147,10 +147,10 @@ Random = np.random.Generator
 Drift = Callable[[Array, Random], tuple[Array, Array]]
 """From (n,) 0 to 1 over the stream to (n,) gain and (n,) shift, the shift in shares of the sensor's span."""
 
-Use = Callable[[Activity, int, Random], Array]
+Motion = Callable[[Activity, int, Random], Array]
 
 
-def stands(x: Array, rng: Random) -> tuple[Array, Array]:
+def standing_still(x: Array, rng: Random) -> tuple[Array, Array]:
     return np.ones_like(x), np.zeros_like(x)
 
 
@@ -229,7 +229,7 @@ def is_replaced(activity: Activity, n: int, rng: Random) -> Array:
     return np.concatenate([same(activity, at, rng), other(activity, n - at, rng)])
 
 
-def times(share: float) -> Use:
+def times(share: float) -> Motion:
     """Another load from the middle on, the rest unmoved."""
 
     def use(activity: Activity, n: int, rng: Random) -> Array:
@@ -266,8 +266,8 @@ def day(activity: Activity, n: int, rng: Random) -> Array:
     """Several uses in turn, the calibrated one most often."""
     parts: list[Array] = []
     while sum(map(len, parts)) < n:
-        use = [same, sways, same, runs, rests, other][int(rng.integers(6))]
-        parts.append(use(activity, int(rng.uniform(0.02, 0.15) * n), rng))
+        motion = [same, sways, same, runs, rests, other][int(rng.integers(6))]
+        parts.append(motion(activity, int(rng.uniform(0.02, 0.15) * n), rng))
     return np.concatenate(parts)[:n]
 
 
@@ -283,22 +283,22 @@ class Kind:
     """
 
     drift: Drift
-    use: Use
+    use: Motion
     bend: float = 0.0
     is_about_rest: bool = False
     is_under_way: bool = False
 
 
 KINDS: Mapping[str, Kind] = {
-    "no drift": Kind(stands, same),
-    "no drift, irregular use": Kind(stands, irregular),
-    "no drift, loads x 1.3": Kind(stands, times(1.3)),
-    "no drift, loads x 1.6": Kind(stands, times(1.6)),
-    "no drift, loads x 0.6": Kind(stands, times(0.6)),
-    "no drift, load and pace change": Kind(stands, changes),
-    "no drift, another programme": Kind(stands, is_replaced),
-    "no drift, a day of several uses": Kind(stands, day),
-    "no drift, use grows slowly": Kind(stands, slowly_harder),
+    "no drift": Kind(standing_still, same),
+    "no drift, irregular use": Kind(standing_still, irregular),
+    "no drift, loads x 1.3": Kind(standing_still, times(1.3)),
+    "no drift, loads x 1.6": Kind(standing_still, times(1.6)),
+    "no drift, loads x 0.6": Kind(standing_still, times(0.6)),
+    "no drift, load and pace change": Kind(standing_still, changes),
+    "no drift, another programme": Kind(standing_still, is_replaced),
+    "no drift, a day of several uses": Kind(standing_still, day),
+    "no drift, use grows slowly": Kind(standing_still, slowly_harder),
     "level creeps": Kind(level_creeps, same),
     "level drifts": Kind(level_drifts, same),
     "gain drifts": Kind(gain_drifts, same),
@@ -338,10 +338,10 @@ class Bench:
 def bench(curve: str, rate_Hz: float) -> Bench:
     """Train f on every activity and on the station's profile."""
     rng = np.random.default_rng(5)
-    uses = [
+    calibration_cycles = [
         cycles(Activity(a.wave, a.cycle_s, rate_Hz), 1500, rng, Style(1.1, scatter=0.2)) for a in ACTIVITIES.values()
     ]
-    load = np.concatenate([station(4000, rate_Hz, rng), *uses])
+    load = np.concatenate([station(4000, rate_Hz, rng), *calibration_cycles])
     source = LabelledRecording(_recording("source", read(curve, load, rate_Hz, rng), rate_Hz), load)
     network = fit_network(source, NetworkConfig(hidden=(32, 16), max_epochs=40)).network
     return Bench(network, source_state(source, network), source)
@@ -395,5 +395,5 @@ def draw(number: int, seed: int, kinds: Mapping[str, Kind] = KINDS) -> Stream:
     profile = station(CALIBRATION, activity.rate_Hz, rng) if is_on_station else cycles(activity, CALIBRATION, rng)
     then = (gain[:before], shift[:before]) if of.is_under_way else (1.0, 0.0)
     calibrated = _recording("unit", read(curve, profile, activity.rate_Hz, rng, *then), activity.rate_Hz)
-    used = _recording("unit", output, activity.rate_Hz)
-    return Stream(kind, name, curve, is_on_station, bench(curve, activity.rate_Hz), calibrated, used, load)
+    operated = _recording("unit", output, activity.rate_Hz)
+    return Stream(kind, name, curve, is_on_station, bench(curve, activity.rate_Hz), calibrated, operated, load)

@@ -20,7 +20,7 @@ from softcal.station.interfaces import Move, OnWait, Sample, StageOnHold, StageP
 from softcal.station.motion.interlock import TABLE, AllowedMotion, StageMonitor, State
 from softcal.station.motion.motion import Cancelled, Motion
 
-MOST_FAULTS = 3
+MAX_FAULTS = 3
 LONGEST_S = 120.0
 """No run of the program below may take longer, whatever happens."""
 
@@ -35,19 +35,19 @@ PROBED = frozenset(name for row in TABLE.values() for name in row.needs)
 class Choices:
     """The answers of one run: those that are given, then "all is well"."""
 
-    def __init__(self, given: Sequence[int]) -> None:
-        self._given, self.made = list(given), list[tuple[int, int]]()
+    def __init__(self, choices_given: Sequence[int]) -> None:
+        self._choices, self.made = list(choices_given), list[tuple[int, int]]()
 
     def pick(self, count: int) -> int:
         """Return which of `count` answers is given here; 0 is "all is well"."""
         k = len(self.made)
-        answer = self._given[k] if k < len(self._given) else 0
+        answer = self._choices[k] if k < len(self._choices) else 0
         self.made.append((answer, count))
         return answer
 
 
 @dataclass
-class Told:
+class RunOutcome:
     """What a stage was told in one run, and what was seen on the way.
 
     Args:
@@ -77,8 +77,8 @@ class ModelStage:
 
     name, travel_mm, max_speed_mm_s, acceleration_mm_s2 = "stage", 40.0, 25.0, 200.0
 
-    def __init__(self, choices: Choices, told: Told) -> None:
-        self._choices, self._told = choices, told
+    def __init__(self, choices: Choices, outcome: RunOutcome) -> None:
+        self._choices, self._outcome = choices, outcome
         self.position_mm = self._target_mm = APPROACH_MM
         self.is_position_known = self.is_moving = self.can_lift_roughly = False
         self._polls, self._is_blocked = 0, False
@@ -94,7 +94,7 @@ class ModelStage:
 
     def home(self, on_wait: OnWait = lambda: None) -> None:
         """Home, or fail."""
-        self._told.commands.append("home")
+        self._outcome.commands.append("home")
         self.is_moving = True
         on_wait()
         if self._choices.pick(2):
@@ -103,7 +103,7 @@ class ModelStage:
 
     def begin(self, move: Move) -> None:
         """Begin, refuse, or begin and never arrive."""
-        self._told.commands.append("down" if move.to_mm > self.position_mm else "up")
+        self._outcome.commands.append("down" if move.to_mm > self.position_mm else "up")
         answer = self._choices.pick(3)
         if answer == 1:
             self._fault(CommandRefused("stage: refused"))
@@ -127,7 +127,7 @@ class ModelStage:
         """Stand, or lose the position, or be held, or say nothing."""
         if self._is_blocked and self._polls > 2 * POLLS:
             self._mark()  # Stopped because it was late.
-        self._told.commands.append("stop")
+        self._outcome.commands.append("stop")
         self.look()
         answer = self._choices.pick(5)
         if self.is_moving:
@@ -164,8 +164,8 @@ class ModelStage:
             self.position_mm, self.is_moving = self._target_mm, False
 
     def _hold(self) -> None:
-        if self._told.held_at is None:
-            self._told.held_at = len(self._told.commands)
+        if self._outcome.held_at is None:
+            self._outcome.held_at = len(self._outcome.commands)
         self._fault(StageOnHold("stage: held by the button"))
 
     def _fault(self, error: DeviceError) -> None:
@@ -173,8 +173,8 @@ class ModelStage:
         raise error
 
     def _mark(self) -> None:
-        if self._told.faulted_at is None:
-            self._told.faulted_at = len(self._told.commands)
+        if self._outcome.faulted_at is None:
+            self._outcome.faulted_at = len(self._outcome.commands)
 
 
 class ModelCell:
@@ -235,23 +235,23 @@ class _Clock:
         self.sleep_s(seconds)
 
 
-class _SeenMotion(Motion):
+class _RecordedMotion(Motion):
     """Keeps which way it went from which state."""
 
-    def __init__(self, bench: Any, tick: Callable[[], None], told: "Told") -> None:
+    def __init__(self, bench: Any, tick: Callable[[], None], outcome: "RunOutcome") -> None:
         super().__init__(bench, tick)
-        self._told = told
+        self._outcome = outcome
 
-    def enter(self, state: State, known: Collection[str] = ()) -> None:
+    def enter(self, state: State, known_states: Collection[str] = ()) -> None:
         before = self.state
-        super().enter(state, known)
-        self._told.ways.add((before, state))
+        super().enter(state, known_states)
+        self._outcome.ways.add((before, state))
 
 
-def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
+def run_once(choices_given: Sequence[int]) -> tuple[RunOutcome, list[tuple[int, int]]]:
     """Run the program once with these answers; return what was told, and the answers with their alternatives."""
-    choices, told, clock = Choices(given), Told(), _Clock()
-    stage = ModelStage(choices, told)
+    choices, outcome, clock = Choices(choices_given), RunOutcome(), _Clock()
+    stage = ModelStage(choices, outcome)
     force, fixture = ForceConfig("", latency_s=0.0), FixtureConfig(approach_mm=APPROACH_MM)
     config = SimpleNamespace(safety=SafetyConfig(), fixture=fixture, force=force)
     cell = ModelCell(stage, choices, clock)
@@ -265,39 +265,42 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
         stage.poll()
         looks += 1
         if looks % POLLS == 1 and looks < 16 * POLLS:
-            _watch(choices.pick(5), stage, motion.row.monitors)
+            _choose_monitor(choices.pick(5), stage, motion.row.monitors)
 
-    motion = _SeenMotion(bench, tick, told)
+    motion = _RecordedMotion(bench, tick, outcome)
     motion.zero_N = motion.free_output = 0.0
 
     def look() -> None:
-        told.states.add((motion.state, stage.is_moving, stage.is_position_known, told.held_at is not None))
+        outcome.states.add((motion.state, stage.is_moving, stage.is_position_known, outcome.held_at is not None))
 
     stage.look = look
     try:
         motion.supervise(lambda: _program(motion, stage, choices))
     except DeviceError as error:
-        told.message, left = str(error), error.reason.values.get("state")
-        if isinstance(left, Reason):
-            told.left, told.is_true = left, is_true(left, (cell.force_N, cell.shown_N), stage.position_mm)
+        outcome.message, lift_state = str(error), error.reason.values.get("state")
+        if isinstance(lift_state, Reason):
+            outcome.left, outcome.is_true = (
+                lift_state,
+                is_true(lift_state, (cell.force_N, cell.shown_N), stage.position_mm),
+            )
     except _Endless:
         pass  # Its time tells.
     look()
-    told.ended, told.seconds = motion.state, clock.t_s
-    return told, choices.made
+    outcome.ended, outcome.seconds = motion.state, clock.t_s
+    return outcome, choices.made
 
 
-def _watch(answer: int, stage: ModelStage, on: frozenset[StageMonitor]) -> None:
+def _choose_monitor(answer: int, stage: ModelStage, on: frozenset[StageMonitor]) -> None:
     """A person, or something that a watch sees, where the table has it on."""
-    seen: tuple[tuple[bool, BaseException], ...] = (
+    interrupts: tuple[tuple[bool, BaseException], ...] = (
         (True, Cancelled("stopped by a person")),
         (True, KeyboardInterrupt()),
         (StageMonitor.FORCE in on, SafetyStop("force")),
         (StageMonitor.STREAM in on, BadReply("load cell: noise")),
     )
-    if answer and seen[answer - 1][0]:
+    if answer and interrupts[answer - 1][0]:
         stage._mark()
-        raise seen[answer - 1][1]
+        raise interrupts[answer - 1][1]
 
 
 def _program(motion: Motion, stage: ModelStage, choices: Choices) -> None:
@@ -333,7 +336,9 @@ class Explored:
     broken: tuple[str, ...]
 
 
-def explore(judge: Callable[[Told], str], most_faults: int = MOST_FAULTS, stops_early: bool = False) -> Explored:
+def explore(
+    find_broken: Callable[[RunOutcome], str], max_faults: int = MAX_FAULTS, stops_early: bool = False
+) -> Explored:
     """Try every run.
 
     Args:
@@ -346,31 +351,31 @@ def explore(judge: Callable[[Told], str], most_faults: int = MOST_FAULTS, stops_
     states: set[tuple[State, bool, bool, bool]] = set()
     ways: set[tuple[State, State]] = set()
     while waiting and not (broken and stops_early):
-        given = waiting.pop()
-        told, made = run_once(given)
-        runs, states, ways = runs + 1, states | told.states, ways | told.ways
-        if wrong := judge(told):
-            broken.append(f"{given}: {wrong}: {told.commands}, {told.message}")
-        if sum(answer > 0 for answer in given) < most_faults:
-            for k in range(len(given), len(made)):
-                before = [answer for answer, _ in made[:k]]
-                waiting += [[*before, answer] for answer in range(1, made[k][1])]
+        choices_given = waiting.pop()
+        outcome, choices_made = run_once(choices_given)
+        runs, states, ways = runs + 1, states | outcome.states, ways | outcome.ways
+        if wrong := find_broken(outcome):
+            broken.append(f"{choices_given}: {wrong}: {outcome.commands}, {outcome.message}")
+        if sum(answer > 0 for answer in choices_given) < max_faults:
+            for k in range(len(choices_given), len(choices_made)):
+                before = [answer for answer, _ in choices_made[:k]]
+                waiting += [[*before, answer] for answer in range(1, choices_made[k][1])]
     return Explored(runs, len(states), frozenset(ways), tuple(broken))
 
 
-def broken_property(told: Told) -> str:
+def broken_property(outcome: RunOutcome) -> str:
     """Return which property of docs/hazards.md a run breaks, "" for none."""
-    after = [] if told.faulted_at is None else told.commands[told.faulted_at :]
+    after = [] if outcome.faulted_at is None else outcome.commands[outcome.faulted_at :]
     if any(command in ("down", "home") for command in after):
         return "moves down after a stop without a fresh start"
-    if told.seconds > LONGEST_S:
+    if outcome.seconds > LONGEST_S:
         return "a state has no deadline"
-    if told.ended not in (State.STOPPED, State.OVER):
+    if outcome.ended not in (State.STOPPED, State.OVER):
         return "a run does not end"
-    if told.held_at is not None and "up" in told.commands[told.held_at :]:
+    if outcome.held_at is not None and "up" in outcome.commands[outcome.held_at :]:
         return "moves by itself while somebody holds it"
-    if told.faulted_at is not None and told.left is None:
+    if outcome.faulted_at is not None and outcome.left is None:
         return "does not say what stands on the unit"
-    if not told.is_true:
+    if not outcome.is_true:
         return "says of the stage what is not so"
     return ""

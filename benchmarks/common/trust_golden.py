@@ -10,7 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from common.command import Kept
+from common.command import ResultCache
 from common.map_methods import METHODS, insole, own_error, split, taxel, taxels
 from common.simulated_cases import NETWORK
 from common.tables import print_table
@@ -28,13 +28,13 @@ EVERY = 5
 """Every fifth taxel is a unit."""
 EMD = "ot.da.EMDTransport"
 WAYS = ("no golden run", "golden run, output alone", "golden run under the load cell", EMD)
-TOLD, FORECAST = (WAYS[0], WAYS[2]), "true / forecast, "
+PRINTED_WAYS, FORECAST = (WAYS[0], WAYS[2]), "true / forecast, "
 
 
 def print_golden(sources: Sequence[str], cache: Path) -> None:
     """Print what a golden run brings; what is done is kept in a file of the cache."""
-    kept = Kept(cache / "golden.jsonl")
-    ratios = {source: kept.of(source, partial(fit_source, source)) for source in sources}
+    cache_file = ResultCache(cache / "golden.jsonl")
+    ratios = {source: cache_file.get(source, partial(fit_source, source)) for source in sources}
     units = [unit for of_one in ratios.values() for unit in of_one]
     rows = []
     for way in WAYS:
@@ -44,8 +44,10 @@ def print_golden(sources: Sequence[str], cache: Path) -> None:
         )
     print(f"{len(ratios)} sources, {len(units)} units fitted on the other day and programme, after / own:\n")
     print_table("fitted to | median | 95 % | best source | worst source", rows)
-    told = ((way, *np.quantile([unit[FORECAST + way] for unit in units], (0.1, 0.5, 0.9)).tolist()) for way in TOLD)
-    print_table("true / forecast | 10 % | median | 90 %", told)
+    printed_rows = (
+        (way, *np.quantile([unit[FORECAST + way] for unit in units], (0.1, 0.5, 0.9)).tolist()) for way in PRINTED_WAYS
+    )
+    print_table("true / forecast | 10 % | median | 90 %", printed_rows)
 
 
 def fit_source(source: str) -> list[dict[str, float]]:
@@ -64,17 +66,17 @@ def fit_source(source: str) -> list[dict[str, float]]:
 def fit_unit(model: SourceModel, corrections: Mapping[str, DayCorrection | None], name: str) -> dict[str, float]:
     day = insole("calibration")
     unit, test = taxel(insole("validation_1"), name).unlabelled, taxel(day, name, split(len(day))[1])
-    own, told = own_of(name), dict[str, float]()
+    own_recording, ratios = own_recording_of(name), dict[str, float]()
     for way, correction in corrections.items():
-        found = calibrate(UnitProblem(model, unit, day_correction=correction))
-        truth = rmse(model.network.evaluate(found.unit_map.apply(test.windows)), test.window_reference)
-        told |= {way: truth / own, FORECAST + way: truth / (found.predicted_rmse or np.nan)}
+        calibration = calibrate(UnitProblem(model, unit, day_correction=correction))
+        truth = rmse(model.network.evaluate(calibration.unit_map.apply(test.windows)), test.window_reference)
+        ratios |= {way: truth / own_recording, FORECAST + way: truth / (calibration.predicted_rmse or np.nan)}
     problem = FitProblem(model.source, model.network, unit)
-    return told | {EMD: rmse(METHODS[EMD](problem, test), test.window_reference) / own}
+    return ratios | {EMD: rmse(METHODS[EMD](problem, test), test.window_reference) / own_recording}
 
 
 @cache
-def own_of(name: str) -> float:
+def own_recording_of(name: str) -> float:
     """Error of the unit's own network, trained on the other day."""
     day = insole("calibration")
     return own_error(taxel(insole("validation_1"), name), taxel(day, name, split(len(day))[1]), NETWORK)

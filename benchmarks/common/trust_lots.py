@@ -41,8 +41,8 @@ UNITS, MANY, MANY_EVERY, LARGE = 14, 26, 6, 30
 """Units of a lot; every sixth seed has lots large enough for twenty audits; units of a lot of `power_lots`."""
 
 SPREAD, DAY = LineEffects(load_spread=0.12), LineEffects(day_gain=0.08, day_zero=0.03)
-OWN = "own programme"
-KEPT = 240
+OWN_PROGRAMME = "own programme"
+ROWS_KEPT = 240
 """Instants of an audit that are kept with a fit."""
 
 
@@ -120,14 +120,14 @@ def designs(units: int) -> dict[str, LotDesign]:
     bad = planted(("extra creep", "other sensor", "saturated"))
     return {
         "in step": LotDesign(units),
-        "own programme": LotDesign(units, shift=OWN),
-        "stage known, own programme": LotDesign(units, shift=OWN, has_stage=True),
+        "own programme": LotDesign(units, shift=OWN_PROGRAMME),
+        "stage known, own programme": LotDesign(units, shift=OWN_PROGRAMME, has_stage=True),
         "planted bad units": LotDesign(units - 3, bad),
         "load spread 12 %, in step": LotDesign(units, line=SPREAD),
-        "load spread 12 %, own programme": LotDesign(units, shift=OWN, line=SPREAD),
-        "load spread 12 %, stage known": LotDesign(units, shift=OWN, has_stage=True, line=SPREAD),
+        "load spread 12 %, own programme": LotDesign(units, shift=OWN_PROGRAMME, line=SPREAD),
+        "load spread 12 %, stage known": LotDesign(units, shift=OWN_PROGRAMME, has_stage=True, line=SPREAD),
         "another day, in step": LotDesign(units, line=DAY),
-        "another day, own programme": LotDesign(units, shift=OWN, line=DAY),
+        "another day, own programme": LotDesign(units, shift=OWN_PROGRAMME, line=DAY),
         "below half the range": LotDesign(units, shift="below half"),
     }
 
@@ -204,14 +204,14 @@ def power_lots(seed: int) -> Iterator[RawLot]:
     for number, twin in enumerate(twins[1:], start=1):
         serial = f"U{number:03d}"
         harder = _harder(twin, 1 + SPREAD.load_spread * float(np.clip(rng.normal(), -2.0, 2.0)))
-        own = random_presses(rng, 60.0, DEPTH_MM)
+        own_presses = random_presses(rng, 60.0, DEPTH_MM)
         audits.append(_press(rng, twin, source_profile(rng, 120.0), serial))
         later.append(_press(rng, twin, random_presses(rng, 120.0, DEPTH_MM), serial, day))
         in_step.append(_press(rng, twin, source_profile(rng, 60.0), serial).unlabelled)
         next_day.append(replace(in_step[-1], output=day(in_step[-1].output)))
         other.append(_press(rng, twin, shared, serial, day).unlabelled)
         spread.append(_press(rng, harder, source_profile(rng, 60.0), serial).unlabelled)
-        spread_own.append(_press(rng, harder, own, serial).unlabelled)
+        spread_own.append(_press(rng, harder, own_presses, serial).unlabelled)
         loads.append(_weights(rng, twin, same))
     none = [None] * LARGE
     for kind, recordings, truths, anchors, run in (
@@ -247,8 +247,8 @@ def _harder(twin: Twin, factor: float) -> Twin:
 def _weights(rng: np.random.Generator, twin: Twin, readout: Readout) -> Anchors:
     """Read a unit at rest with nothing on it, and under a weight of two thirds of its load at full depth."""
     depth_mm, hold_s = 0.85 * DEPTH_MM, 3.0
-    held = moves("weights", [0.0, depth_mm], [1.0, 1.0], [hold_s, hold_s])
-    run = _press(rng, twin, held, "weights", readout)
+    weight_holds = moves("weights", [0.0, depth_mm], [1.0, 1.0], [hold_s, hold_s])
+    run = _press(rng, twin, weight_holds, "weights", readout)
     count = int(0.5 * run.unlabelled.sample_rate_Hz)
     first = int((hold_s - 0.6) * run.unlabelled.sample_rate_Hz)
     rows = (slice(first, first + count), slice(len(run) - count, len(run)))
@@ -271,8 +271,8 @@ def measured_lots(sources: int = 3) -> Iterator[RawLot]:
         later = tuple(RawUnit(taxel(other, n).unlabelled, unit.audit) for n, unit in zip(rest, same, strict=True))
         for kind, units in (("insole, same programme", same), ("insole, other day and programme", later)):
             yield RawLot(kind, f"{kind} {source}", taxel(day, source, half), units)
-    places = {name: skin(name) for name in ("left", "middle", "right")}
-    yield from _in_turn("skin, three places", places)
+    positions = {name: skin(name) for name in ("left", "middle", "right")}
+    yield from _in_turn("skin, three places", positions)
     pair = {name: egain(name) for name in ("S1", "S2")}
     yield from _in_turn("egain pair", pair)
 
@@ -371,7 +371,7 @@ def _load(model: SourceModel, calibration: UnitState, recording: OutputRecording
 
 def _sample(result: Estimate, audit: LabelledRecording, rows: NDArray[np.bool_]) -> tuple[tuple[float, ...], ...]:
     at = np.flatnonzero(rows)
-    at = at[np.linspace(0, len(at) - 1, KEPT).astype(np.int64)]
+    at = at[np.linspace(0, len(at) - 1, ROWS_KEPT).astype(np.int64)]
     half = np.maximum(result.upper - result.estimate, 1e-12)
     columns = (result.estimate[at], audit.reference[at], half[at])
     return tuple(tuple(float(f"{value:.5g}") for value in column) for column in columns)

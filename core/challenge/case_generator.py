@@ -19,7 +19,7 @@ MAINS_Hz = (50.0, 60.0)
 
 
 @dataclass(frozen=True)
-class Scope:
+class EffectScales:
     """Scales of effect sizes on one rig."""
 
     rig: Rig
@@ -41,7 +41,7 @@ def _signed(rng: Rng, centre: float) -> float:
     return float(rng.choice([-1.0, 1.0])) * near(rng, centre)
 
 
-def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:
+def _saturation(rng: Rng, scope: EffectScales, scale: float) -> dict[str, float]:
     """Return one rail or the other, so far inside the used range that 4–12 % of it are lost at scale 1."""
     clipped_V = scale * rng.uniform(0.04, 0.12) * scope.span_V
     if rng.random() < 0.25:
@@ -60,7 +60,7 @@ def _hum_Hz(rng: Rng, rate_Hz: float) -> float:
     return alias_Hz(float(rng.choice(mains_Hz)) + rng.normal(0.0, 0.03), rate_Hz)
 
 
-def _tone_Hz(rng: Rng, at: Scope) -> float:
+def _tone_Hz(rng: Rng, at: EffectScales) -> float:
     """A frequency from 1 Hz to 0.45 of the rate, 1.5 Hz from every alias of the mains."""
     rate_Hz = at.rig.sample_rate_Hz
     aliases = [alias_Hz(mains_Hz, rate_Hz) for mains_Hz in MAINS_Hz]
@@ -70,7 +70,7 @@ def _tone_Hz(rng: Rng, at: Scope) -> float:
             return frequency_Hz
 
 
-Draw = Callable[[Rng, Scope, float], dict[str, float]]
+Draw = Callable[[Rng, EffectScales, float], dict[str, float]]
 
 SIGNED = True
 
@@ -78,7 +78,7 @@ SIGNED = True
 def _sized(name: str, centre: float, is_signed: bool = False, **shapes: tuple[float, float]) -> Draw:
     """Return what draws a size about its centre, and shapes about theirs within a factor."""
 
-    def draw(rng: Rng, at: Scope, scale: float) -> dict[str, float]:
+    def draw(rng: Rng, at: EffectScales, scale: float) -> dict[str, float]:
         size = scale * (_signed(rng, centre) if is_signed else near(rng, centre))
         return {name: size} | {shape: near(rng, *about) for shape, about in shapes.items()}
 
@@ -192,7 +192,7 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
     return rig, peak_N
 
 
-def _add_coloured_noise(rng: Rng, rig: Rig, scope: Scope) -> Rig:
+def _add_coloured_noise(rng: Rng, rig: Rig, scope: EffectScales) -> Rig:
     """Add coloured noise to output, force or both: 0.1–1 % of the used range, correlation time 0.1–2 s."""
     channel = rng.choice(["output", "force", "both"])
     share, correlation_time_s = log_uniform(rng, 0.001, 0.01), log_uniform(rng, 0.1, 2.0)
@@ -204,14 +204,14 @@ def _add_coloured_noise(rng: Rng, rig: Rig, scope: Scope) -> Rig:
     )
 
 
-Causes: TypeAlias = Callable[[Rng, Scope], tuple[Cause, ...]]
+Causes: TypeAlias = Callable[[Rng, EffectScales], tuple[Cause, ...]]
 
 
 def _some(count: int = 1, scale: float = 1.0, stages: Sequence[str] | None = None) -> Causes:
     """Return what draws causes of the catalogue at this share of their usual size."""
     pool = [effect for effect, equation in CATALOGUE.items() if stages is None or equation.stage in stages]
 
-    def draw(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    def draw(rng: Rng, scope: EffectScales) -> tuple[Cause, ...]:
         names = [str(name) for name in rng.choice(pool, count, replace=False)]
         return tuple(Cause(name, CATALOGUE_FORM, SIZES[name](rng, scope, scale)) for name in names)
 
@@ -220,7 +220,7 @@ def _some(count: int = 1, scale: float = 1.0, stages: Sequence[str] | None = Non
 
 def _by(equations: Sequence[tuple[str, str]]) -> Causes:
 
-    def draw(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    def draw(rng: Rng, scope: EffectScales) -> tuple[Cause, ...]:
         effect, form = equations[int(rng.integers(len(equations)))]
         return (Cause(effect, form, SIZES[effect](rng, scope, 1.0)),)
 
@@ -276,7 +276,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
     peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)
     rest_V = rig.vref_V * rig.r0_ohm / (rig.r0_ohm + rig.r_series_ohm)
-    scope = Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
+    scope = EffectScales(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
     rig = _add_coloured_noise(rng, rig, scope) if line == "coloured" else rig
     causes = LINES[line](rng, scope)
     plans = tuple(RunPlan(name_, draw_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))

@@ -63,8 +63,8 @@ def _channel_loop(loop: Apply) -> Apply:
 
 def completed_compressions(compression_mm: Array) -> Array:
     """Return the number of compressions that ended before each point: contact and loss of contact."""
-    pressed = compression_mm > 0.0
-    released = pressed[:-1] & ~pressed[1:]
+    is_pressed = compression_mm > 0.0
+    released = is_pressed[:-1] & ~is_pressed[1:]
     return np.concatenate([[0.0], np.cumsum(released)])
 
 
@@ -165,8 +165,8 @@ def _hertzian_frame(yielding_mm: Array, at: Moment, compliance_mm_per_N: float) 
 
 def _softening_by_power(force_N: Array, at: Moment, size: float, cycles: float) -> Array:
     """Softening that grows by cycles as 1 − (1 + N/N0)^(−1.5) instead of exponentially."""
-    done = completed_compressions(at.compression_mm)
-    return force_N * (1.0 - size * (1.0 - (1.0 + done / cycles) ** -1.5))
+    compressions = completed_compressions(at.compression_mm)
+    return force_N * (1.0 - size * (1.0 - (1.0 + compressions / cycles) ** -1.5))
 
 
 def _curved_temperature(rest_ohm: Array, at: Moment, coefficient_per_K: float) -> Array:

@@ -232,12 +232,12 @@ def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array],
         yielding_mm = rack.pass_through("yielding", np.zeros_like(travel_mm), moment)
         compression_mm = np.maximum(0.0, travel_mm - yielding_mm)
         compression_mm = np.maximum(0.0, rack.pass_through("landing", compression_mm, moment))
-        pressed = replace(moment, compression_mm=compression_mm)
-        force_N = rack.pass_through("elastic", moment.rig.pad_force_N(compression_mm), pressed)
-        force_N = rack.pass_through("relaxed", force_N, pressed)
+        moment_pressed = replace(moment, compression_mm=compression_mm)
+        force_N = rack.pass_through("elastic", moment.rig.pad_force_N(compression_mm), moment_pressed)
+        force_N = rack.pass_through("relaxed", force_N, moment_pressed)
         change_N = force_N - moment.force_N
         if not rack.has("yielding") or float(np.max(np.abs(change_N))) < FORCE_TOLERANCE_N:
-            return replace(pressed, force_N=force_N)
+            return replace(moment_pressed, force_N=force_N)
         moment = replace(moment, force_N=moment.force_N + RELAXED * change_N)
     raise ValueError("the frame is softer than the pad; its compression has no fixed point")
 

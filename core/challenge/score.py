@@ -170,11 +170,11 @@ def score_reports(
         ):
             fraction = realised(label, report)
         case_scores.append(CaseScore(label, answer, fraction, unread))
-    answered = [(j, j.answer) for j in case_scores if j.answer is not None]
-    predicted = np.array([p for _, a in answered for p in a.probabilities.values()])
-    present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
-    first = [(a.probabilities[a.first], j.is_first_right) for j, a in answered if a.first and a.verdict != "no_gap"]
-    singles = [a.probabilities.get(next(iter(j.truth)), 0.0) for j, a in answered if len(j.truth) == 1]
+    answers = [(j, j.answer) for j in case_scores if j.answer is not None]
+    predicted = np.array([p for _, a in answers for p in a.probabilities.values()])
+    present = np.array([effect in j.truth for j, a in answers for effect in a.probabilities], dtype=np.float64)
+    first = [(a.probabilities[a.first], j.is_first_right) for j, a in answers if a.first and a.verdict != "no_gap"]
+    singles = [a.probabilities.get(next(iter(j.truth)), 0.0) for j, a in answers if len(j.truth) == 1]
     probabilities = Probabilities(
         ece=calibration_error(predicted, present),
         ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),

@@ -234,9 +234,9 @@ def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Cur
     """Read γ off constant windows: exact for every family that works sample by sample."""
     knots_of_map = np.asarray(unit_map.arrays().get("knots", ()), dtype=np.float64)
     grid = _grid(windows)
-    bends = np.unique(knots_of_map[(knots_of_map > grid[0]) & (knots_of_map < grid[-1])])
-    if 0 < len(bends) <= knots - 2:
-        ends = np.concatenate([grid[:1], bends, grid[-1:]])
+    breakpoints = np.unique(knots_of_map[(knots_of_map > grid[0]) & (knots_of_map < grid[-1])])
+    if 0 < len(breakpoints) <= knots - 2:
+        ends = np.concatenate([grid[:1], breakpoints, grid[-1:]])
         values = unit_map.apply(resting(ends))[:, -1]
         if np.array_equal(_monotone(values, np.ones(len(ends))), values):
             return Curve(ends, values)

@@ -173,7 +173,7 @@ class RigScale:
     sizes: tuple[tuple[str, float], ...] = ()
 
     @classmethod
-    def of(cls, case: "Case") -> "RigScale":
+    def from_case(cls, case: "Case") -> "RigScale":
         """Read force and stroke off the runs that are pressed, the others off the metadata."""
         spans = {}
         for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):

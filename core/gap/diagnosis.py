@@ -253,7 +253,7 @@ def diagnose_with(
     if recording_mistakes := model.mistakes_by_search(search):
         return Diagnosis.stopped(model, search.base, recording_mistakes)
     if search.unmodelled is None:
-        search.keep_not_excluded()
+        search.store_not_excluded()
     assessment = assess_search(search)
     if on_fits is not None:
         on_fits(search.fits)
@@ -359,7 +359,7 @@ def assess_search(search: Search) -> Assessment:
     open_ = {i for f in larger for i in f.ids}.difference(best.ids)
     every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in every.items()}
     trust = dict.fromkeys(
-        effects if best.ids and not quantified.is_supported else doubted, config.verdict.imitated_trust
+        effects if best.ids and not quantified.is_supported else doubted, config.verdict.surrogate_trust
     )
     chances = {i: p * trust.get(i, 1.0) for i, p in every.items()}
     if verdict == "unknown" and search.unmodelled is None:
@@ -379,13 +379,13 @@ def closest_set(search: Search) -> Fit:
     A few sets are tried, and of the nearest one with a cause more.
     """
     config, every = search.model.method, list(search.fits.values())
-    fits = {f.ids: f for f in (search.best, *sorted(every, key=lambda f: f.chi2)[: config.verdict.most_tried])}
+    fits = {f.ids: f for f in (search.best, *sorted(every, key=lambda f: f.chi2)[: config.verdict.max_tried])}
     for size in {len(f.ids) for f in every}:
         one = min((f for f in every if len(f.ids) == size), key=lambda f: f.chi2)
         fits[one.ids] = one
     errors = {ids: held_out_error(search.base, result) for ids, result in fits.items()}
     nearest = fits[min(errors, key=lambda ids: errors[ids])]
-    if len(nearest.ids) < config.rival.most_causes:
+    if len(nearest.ids) < config.competing.max_causes:
         for grown in search.grown_from(nearest):
             search.store(grown)
             if (stored := search.fits.get(grown.ids)) is not None:
@@ -439,7 +439,9 @@ def _verdict(search: Search, group: tuple[Fit, ...], quantified: Quantified) -> 
     if search.unmodelled is not None:
         return "unknown"
     if not best.ids or not quantified.is_supported:
-        is_sound = model.is_clean(base) and noise_chance(base) > model.method.floor.chance and not model.is_uneven(base)
+        is_sound = (
+            model.is_clean(base) and noise_chance(base) > model.method.noise_test.chance and not model.is_uneven(base)
+        )
         return "no_gap" if is_sound else "unknown"
     is_small = min(
         search.share(best), quantified.explained_fraction.held_out

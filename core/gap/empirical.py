@@ -147,7 +147,7 @@ class _Choice(Generic[T]):
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
         # Per run, its samples and, (directions, samples), orthonormal directions of its offsets.
         problem, bare = parent.problem, self._bare
-        self._config, self._parts = problem.method.learn, problem.method.shrink.parts
+        self._config, self._parts = problem.method.learn, problem.method.explained_fraction.parts
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
         rows, self._nuisance = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
@@ -213,14 +213,14 @@ class _Choice(Generic[T]):
         chosen: list[int] = []
         loss, noise = self._held_out_loss(folds, chosen), self.noise(cells)
         config = self._config
-        while folds and len(chosen) < config.most:
+        while folds and len(chosen) < config.max_terms:
             losses = {
                 k: self._held_out_loss(folds, [*chosen, k]) for k in range(len(self.candidates)) if k not in chosen
             }
             if not losses:
                 break
             best = min(losses, key=lambda k: losses[k])
-            if loss - losses[best] <= config.least * max(loss - noise, 0.0) + config.chance * len(parts):
+            if loss - losses[best] <= config.min_share * max(loss - noise, 0.0) + config.chance * len(parts):
                 break
             chosen, loss = [*chosen, best], losses[best]
         return [self.candidates[k] for k in chosen], loss
@@ -306,7 +306,7 @@ class _Scores:
         each = np.array([self.explained_fraction(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
         quantile = float(student.ppf(0.5 + 0.5 * self.method.learn.coverage, max(n - 1, 1)))
-        margin = max(self.method.shrink.least_margin, quantile * error)
+        margin = max(self.method.explained_fraction.min_margin, quantile * error)
         return value, value - margin, min(1.0, value + margin)
 
 
@@ -342,7 +342,7 @@ def _score_held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, 
 def _rows_of_cells(problem: Problem) -> Iterator[tuple[Cell, slice]]:
     """Yield the samples of every quarter of every block, with its run and quarter."""
     for block in problem.blocks:
-        samples, parts = np.arange(block.rows.start, block.rows.stop), problem.method.shrink.parts
+        samples, parts = np.arange(block.rows.start, block.rows.stop), problem.method.explained_fraction.parts
         ends = [part[0] for part in np.array_split(samples, parts)]
         for quarter, (start, stop) in enumerate(pairwise([*ends, block.rows.stop])):
             yield (block.run, quarter), slice(start, stop)

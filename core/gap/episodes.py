@@ -46,10 +46,10 @@ def with_losses(result: Fit, effect: Effect) -> Fit | None:
         coordinates[result.hypothesis.index_of(rates[0])] = skew
         start = replace(result, coordinates=coordinates, predicted=problem.predict(result.hypothesis, coordinates))
         rows = _locate_losses(start, effect.id)[0]
-        placed = result.hypothesis.adding(effect, episodes=_merged(result, effect.id, rows))
-        predicted = problem.predict(placed, np.append(coordinates, 0.0))
+        hypothesis = result.hypothesis.adding(effect, episodes=_merged(result, effect.id, rows))
+        predicted = problem.predict(hypothesis, np.append(coordinates, 0.0))
         misfit = energy(problem.whitened(problem.measured - predicted))
-        cost = misfit + problem.method.evidence.episode_cost * float(np.log(problem.count)) * placed.episode_count
+        cost = misfit + problem.method.evidence.episode_cost * float(np.log(problem.count)) * hypothesis.episode_count
         if cost < min_cost:
             best, min_cost = start, cost
     return _with_episodes(best, effect, _locate_losses)
@@ -148,14 +148,14 @@ def _locate_losses(result: Fit, effect_id: str) -> tuple[list[Array], float]:
     level = _robust_noise(result, blocks)
     # A delay fitted through the losses lies in their middle: the first samples stand before it.
     config = result.problem.method.episode
-    max_lead = config.longest_lead if _clocks(result, "delay") else 0
+    max_lead = config.max_advance if _clocks(result, "delay") else 0
     for block in blocks:
         measured = result.problem.measured[block.rows]
         noise = result.problem.noise[block.rows] * level
         predicted = closed[block.rows] + float(np.median(offsets[block.rows]))
         ahead = np.concatenate([np.full(max_lead, predicted[0]), predicted])
         penalty = 4.0 * np.log(len(measured))
-        shifts = lag_path(measured, ahead, noise, max_lead, config.longest_loss, penalty, config.judged)
+        shifts = lag_path(measured, ahead, noise, max_lead, config.longest_loss, penalty, config.min_following)
         at = np.flatnonzero(np.diff(shifts) > 0) + 1
         t_s = case.runs[block.run].elapsed_s
         rows[block.run] = np.array([(t_s[k], shifts[k] - shifts[k - 1]) for k in at]).reshape(-1, 2)

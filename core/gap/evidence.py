@@ -108,7 +108,7 @@ def competing_hypotheses(
     """
     if not best.ids:
         return (best,)
-    config = best.problem.method.rival
+    config = best.problem.method.competing
     top = logs[best.ids]
     near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - config.odds]
     in_play: list[Fit] = [best, *not_excluded]
@@ -117,7 +117,7 @@ def competing_hypotheses(
         # A larger set of causes holds the evidence of the smaller one and says nothing new.
         if ids and not any(ids >= set(other.ids) for other in in_play):
             in_play.append(result)
-    max_causes = max(config.most_causes, len(best.ids) + 1)
+    max_causes = max(config.max_causes, len(best.ids) + 1)
     # Hypotheses with one cause more that can be neither named nor left out.
     best_ids = set(best.ids)
     larger = [f for ids, f in fits.items() if set(ids) > best_ids and len(ids) == len(best_ids) + 1]
@@ -126,7 +126,7 @@ def competing_hypotheses(
     # Another form of one cause may be two in the catalogue's equations: a joint is frame and toe.
     is_in_other_form = any(form.effect is e for e in best.effects for form in best.problem.model.forms_of(e.id))
     within = config.odds if is_in_other_form else config.added
-    max_z = max(best.problem.method.structure.dirty_z, config.structure_left * structure(best).z)
+    max_z = max(best.problem.method.structure.structured_z, config.structure_left * structure(best).z)
     for result in sorted(larger, key=lambda f: -ahead[f.ids]):
         gain, behind = ahead[result.ids], top - logs[result.ids]
         is_near = behind < within or (behind < config.negligible and gain > config.exact)
@@ -134,7 +134,7 @@ def competing_hypotheses(
             continue
         if len({*result.ids}.union(*(other.ids for other in in_play))) <= max_causes:
             in_play.append(result)
-    return tuple(in_play[: config.most])
+    return tuple(in_play[: config.max_hypotheses])
 
 
 def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
@@ -205,7 +205,7 @@ def rest_energy(result: Fit, noise_chance: float) -> float:
     Args:
         noise_chance: how likely noise alone leaves as much, a p-value.
     """
-    if noise_chance > result.problem.method.floor.chance:
+    if noise_chance > result.problem.method.noise_test.chance:
         return 0.0
     count, residual = result.problem.count, structure(result)
     # A noise level read off the residual itself holds a part of the rest: at least two standard errors of χ².

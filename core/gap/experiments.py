@@ -73,7 +73,7 @@ def propose_for_unmodelled(
     Args:
         rest: a hypothesis of the causes `causes` and of what describes the rest.
     """
-    max_count = rest.problem.method.rival.most
+    max_count = rest.problem.method.competing.max_hypotheses
     larger = [f for f in fits.values() if set(f.ids) > set(causes) and len(f.ids) == len(causes) + 1]
     nearest = sorted(larger, key=lambda result: result.chi2)[:max_count]
     proposed = propose_experiment(entries, (rest, *nearest), Reason("gap.rest")) if entries and nearest else None
@@ -185,14 +185,14 @@ def identifiability(base: Fit, effects: Sequence[Effect], menu: Sequence[MenuEnt
     """
     # What has no place in time before it is searched shows nothing yet.
     effects = [effect for effect in effects if not effect.is_episodic]
-    rows = _Rows.of(base, base.problem, effects)
+    rows = _Rows.from_fit(base, base.problem, effects)
     every = [*_identify_base(rows, base), *_identify_causes(rows, base, effects)]
     for entry in sorted(menu, key=lambda entry: entry.minutes):
         missing = [one for one in every if not one.is_identifiable]
         if not missing:
             break
         also = [e for e in effects if any(one.name == e.id for one in missing)]
-        extended = rows.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
+        extended = rows.with_run(_Rows.from_fit(base, base.problem.of_run(entry.run), also))
         names = {one.name for one in missing if extended.shows(one.name)}
         every = [replace(one, by=(*one.by, entry.name)) if one.name in names else one for one in every]
     pairs = combinations([e.id for e in effects], 2)
@@ -243,7 +243,7 @@ class _Rows:
     _inverses: dict[tuple[int, ...], Array] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, result: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
+    def from_fit(cls, result: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
         bare, config = fit(problem.bare, result.hypothesis, result.coordinates, steps=0), problem.method.telling
         if not np.all(np.isfinite(bare.predicted)):
             return cls((), (), (), np.zeros((0, 0)), config)
@@ -314,22 +314,22 @@ class _Rows:
             return False
         at = self.cause(name)
         return (
-            self.nuisance_share(at) < self.config.own
+            self.nuisance_share(at) < self.config.offset_share
             and self.residual_energy(at, self.base_and_nuisance) >= self.config.sigma**2
         )
 
     def sigma_of_base(self, k: int) -> float:
         """Return by how many σ a base parameter shows, 0 where others imitate it to rounding."""
         residual = self.residual_energy(k, [i for i in self.base_and_nuisance if i != k])
-        return float(np.sqrt(residual)) if residual > self.config.lost * float(self.gram[k, k]) else 0.0
+        return float(np.sqrt(residual)) if residual > self.config.min_visible * float(self.gram[k, k]) else 0.0
 
     def nuisance_share(self, cause: int, kind: int | None = None) -> float:
         """Return which share of what the base leaves of a cause, at either size, offsets take."""
-        nuisance = [len(self.base) + k for k, of in enumerate(self.nuisance) if kind in (None, of)]
+        nuisance = [len(self.base) + k for k, from_fit in enumerate(self.nuisance) if kind in (None, from_fit)]
         shares = [0.0]
         for row in (cause, cause + 1):
             visible = self.residual_energy(row, self.of_base)
-            if visible > self.config.lost * float(self.gram[row, row]):
+            if visible > self.config.min_visible * float(self.gram[row, row]):
                 shares.append(1.0 - self.residual_energy(row, [*self.of_base, *nuisance]) / visible)
         return max(shares)
 
@@ -395,7 +395,7 @@ def _identify_causes(rows: _Rows, base: Fit, effects: Sequence[Effect]) -> list[
         sigma = float(np.sqrt(rows.residual_energy(at, rows.base_and_nuisance)))
         kind = max(range(len(offsets)), key=lambda k: rows.nuisance_share(at, k), default=None)
         # A delay that all runs share, beyond the largest that each may have, is no longer theirs.
-        is_nuisance = kind is not None and share >= config.own and not is_full[kind]
+        is_nuisance = kind is not None and share >= config.offset_share and not is_full[kind]
         offset = offsets[kind] if is_nuisance and kind is not None else ""
         hidden = float(np.clip(1.0 - visible / energy_of_row, 0.0, 1.0)) if energy_of_row > 0.0 else 1.0
         out.append(ParameterIdentifiability(effect.id, False, sigma, hidden, share, offset, config=config))

@@ -231,7 +231,7 @@ def structure(result: Fit, channel: str | None = None) -> Structure:
             largest = max(largest, float((np.mean(every**2) - 1.0) / np.sqrt(2.0 / len(every))))
     short = np.concatenate([_block_sums(part, config.block_samples[0]) for part in parts])
     excess = max(0.0, float(np.mean(short**2)) - 1.0) / config.block_samples[0] if len(short) else 0.0
-    return Structure(largest, float(np.sqrt(excess)), largest > config.dirty_z)
+    return Structure(largest, float(np.sqrt(excess)), largest > config.structured_z)
 
 
 def _block_sums(values: Array, length: int) -> Array:
@@ -338,7 +338,7 @@ class Yardstick:
     noise_floor: float
 
     @classmethod
-    def of(cls, fits: Iterable[Fit]) -> "Yardstick":
+    def from_fits(cls, fits: Iterable[Fit]) -> "Yardstick":
         """Take the measure from fits under one noise level."""
         every = list(fits)
         config = every[0].problem.method.evidence
@@ -389,7 +389,7 @@ def penalty(result: Fit) -> float:
 
 def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
     """Return the log of prior times evidence of every hypothesis, all under one noise level."""
-    yardstick = Yardstick.of(fits.values())
+    yardstick = Yardstick.from_fits(fits.values())
     return {ids: yardstick.log_evidence(result) for ids, result in fits.items()}
 
 

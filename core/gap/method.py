@@ -24,7 +24,7 @@ class MistakeConfig:
     depth_mm: tuple[float, float] = setting((0.3, 30.0))
     force_N: tuple[float, float] = setting((0.05, 300.0))
     # a stiffness this near beyond what the lot states, in another unit, is that unit.
-    near_stated: float = setting(1.45)
+    stated_margin: float = setting(1.45)
     # share of samples out of range up to which the transmission is broken, not the unit wrong.
     few: float = setting(0.02)
     far: float = setting(3.0)  # spans beyond what nearly all samples show that are a broken transmission.
@@ -43,8 +43,8 @@ class MistakeConfig:
     repaired: float = setting(0.1)
     # stands_out: how much more the others leave of a run than of themselves for it to be looked at.
     stands_out: float = setting(2.0)
-    # asked, agreeing: share of that which a repair may leave for a question; share others may leave of themselves.
-    asked: float = setting(0.3)
+    # question_share, agreeing: share of that which a repair may leave for a question; others may leave of themselves.
+    question_share: float = setting(0.3)
     agreeing: float = setting(0.5)
     steps: int = setting(8)  # steps of a fit of all causes together to the other runs.
     # repeats, span: samples that a channel repeats one value, while the base moves by this share of the channel's span
@@ -65,14 +65,14 @@ class OutlierConfig:
     """When what is left is the mistake of one run (`twin_reach.py`)."""
 
     share: float = setting(0.93)  # of what the twin leaves that one run's mistake must explain.
-    least: float = setting(0.02)  # smallest gain, and zero against the span, that is no tare or seating of a run.
+    min_gain: float = setting(0.02)  # smallest gain, and zero against the span, that is no tare or seating of a run.
     # the share beside a cause, of which other equations leave much less to one run.
-    share_beside: float = setting(0.85)
+    share_with_cause: float = setting(0.85)
     parents: int = setting(3)  # single causes that are tried beside a mistake.
     ahead: float = setting(40.0)  # by how much χ² with its penalty must then be ahead of the catalogue's best.
-    # promised, least_promised: share to be promised for a fit: alone, and beside a cause of its size.
-    promised: float = setting(0.5)
-    least_promised: float = setting(0.15)
+    # predicted share from which a fit is made: alone, and with a cause of its size.
+    min_predicted_share: float = setting(0.5)
+    min_predicted_share_with_cause: float = setting(0.15)
     # each, dearer: cost of a number in ln n, and as a share of the gap where structure is left.
     each: float = setting(3.0)
     dearer: float = setting(2e-4)
@@ -89,17 +89,19 @@ class OffsetConfig:
 
 @dataclass(frozen=True)
 class StructureConfig:
-    """What of a residual is structure, and to which stages dirty maps point (`fit.py`, `places.py`)."""
+    """What of a residual is structure, and to which stages structured maps point (`fit.py`, `fault_location.py`)."""
 
     # lengths over which a residual is summed: 0.16 s and 0.8 s at 50 Hz.
     block_samples: tuple[int, int] = setting((8, 40))
-    dirty_z: float = setting(6.0)  # standard errors above white noise from which its block sums are structure.
-    quiet: float = setting(0.02)  # a map this much cleaner than the dirtiest counts as closed: no noise is quite white.
+    structured_z: float = setting(6.0)  # standard errors above white noise from which its block sums are structure.
+    quiet: float = setting(
+        0.02
+    )  # a map this much cleaner than the most structured one counts as closed: no noise is quite white.
 
 
 @dataclass(frozen=True)
 class FaultLocationConfig:
-    """Which stage the gap sits in (`places.py`)."""
+    """Which stage the gap sits in (`fault_location.py`)."""
 
     chance: float = setting(1e-6)  # how seldom white noise may show a tone in one run.
     faintest: float = setting(0.3)  # root mean square of a tone, in units of the noise, below which it hides nothing.
@@ -115,12 +117,12 @@ class FaultLocationConfig:
     fewest_spikes: int = setting(8)
     clipped_sigma: float = setting(4.0)  # the output is clipped this near to a level it was fitted to be clipped at.
     bins: int = setting(40)  # of a static residual over what it may depend on.
-    swings: int = setting(4)  # changes of sign from which a static residual is taken as a ripple, not as a bend.
+    swings: int = setting(4)  # changes of sign from which a static residual is taken as a ripple, not as a curvature.
     faint_z: float = setting(30.0)  # structure of the maps below which uneven noise, which stirs them, tells more.
-    # breathes_Hz, most_of_line: a tone so near to a named line, and so much smaller, belongs to it.
+    # breathes_Hz, max_line_share: a tone so near to a named line, and so much smaller, belongs to it.
     breathes_Hz: float = setting(0.5)
-    most_of_line: float = setting(0.5)
-    most: float = setting(0.5)  # share of the structured residual that a regularity must account for to count.
+    max_line_share: float = setting(0.5)
+    min_share: float = setting(0.5)  # share of the structured residual that a regularity must account for to count.
 
 
 @dataclass(frozen=True)
@@ -163,9 +165,9 @@ class NoiseFloorConfig:
 class EpisodeConfig:
     """Effects that must be placed first (`episodes.py`)."""
 
-    longest_lead: int = setting(20)  # samples by which a fitted delay may lie wrong before the losses are placed.
+    max_advance: int = setting(20)  # samples by which a fitted delay may lie wrong before the losses are placed.
     longest_loss: int = setting(60)  # most samples one run may lose in all; more is another recording.
-    judged: int = setting(20)  # samples that must follow a loss to judge it by.
+    min_following: int = setting(20)  # samples that must follow a loss to decide on it.
     mains_tolerance_Hz: float = setting(0.5)  # how far from its frequency mains may stand.
     # χ² that the strongest line must take away, in units of the noise or of what surrounds it: white noise reaches 20
     # in a thousand lines, a gap has power everywhere.
@@ -182,26 +184,28 @@ class SearchConfig:
     """How wide the search goes (`search.py`)."""
 
     # effects fitted fully on top of the base, then of hypotheses with one, with two effects.
-    leads: tuple[int, ...] = setting((9, 6, 4))
+    candidates: tuple[int, ...] = setting((9, 6, 4))
     beam: tuple[int, ...] = setting((3, 3))  # hypotheses of one, two effects that are grown further.
-    # a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
+    # a candidate must promise this drop of χ² to be fitted (a third of it for the first effect).
     gain: float = setting(14.0)
-    relative_gain: float = setting(0.02)  # and this share of the χ² that the best lead promises.
+    relative_gain: float = setting(0.02)  # and this share of the χ² that the best candidate promises.
     with_forms: int = setting(3)  # single causes whose other realisations are tried where structure is left.
     # share of the gap that one, two, three causes must explain to be named although structure is left. Another
     # realisation leaves less than a tenth, an effect outside the catalogue more than a quarter; several causes are
     # more flexible.
     enough: tuple[float, ...] = setting((0.87, 0.99, 0.997))
-    # likely, rival: share of what the best single cause explains from which other realisations of another are tried,
+    # likely, likely_clean: share of what the best single cause explains from which other forms of another are tried,
     # where structure is left and where none is.
     likely: float = setting(0.4)
-    rival: float = setting(0.85)
+    likely_clean: float = setting(0.85)
     patch: float = setting(0.005)  # share of the gap that steps placed freely in time must take away.
     again: int = setting(6)  # hypotheses fitted from the first base again where the best one leaves structure.
-    beside: float = setting(6.0)  # an effect beside the best hypothesis must promise this drop of χ² to be fitted, or
+    added_gain: float = setting(
+        6.0
+    )  # an effect beside the best hypothesis must promise this drop of χ² to be fitted, or
     hiding: float = setting(0.99)  # be imitated to this share, so that a first-order promise says little.
     worth: float = setting(0.01)  # share of the gap that a simulator's causes must gain after a few steps to go on.
-    most_pairs: int = setting(8)  # pairs of these that are tried from several starts: all of four or fewer.
+    max_pairs: int = setting(8)  # pairs of these that are tried from several starts: all of four or fewer.
     base_sigma: float = setting(5.0)  # standard deviations that a base may leave of the largest offset of all runs.
 
 
@@ -229,10 +233,10 @@ class EvidenceConfig:
 class CompetingHypothesesConfig:
     """Which hypotheses the evidence cannot rule out (`evidence.py`, `lot_diagnosis.py`), in log odds."""
 
-    odds: float = setting(5.0)  # a hypothesis so near to the best (ΔBIC < 10) is a rival: weak evidence.
-    most: int = setting(3)  # rivals, the best one among them.
-    most_causes: int = setting(3)  # that an honest set may hold, or one more than the best hypothesis has.
-    added: float = setting(1.0)  # a cause more is a rival down to these odds behind the best hypothesis ...
+    odds: float = setting(5.0)  # a hypothesis so near to the best (ΔBIC < 10) competes: weak evidence.
+    max_hypotheses: int = setting(3)  # hypotheses, the best one among them.
+    max_causes: int = setting(3)  # that an honest set may hold, or one more than the best hypothesis has.
+    added: float = setting(1.0)  # a cause more competes down to these odds behind the best hypothesis ...
     # ... and where it would be ahead by these if every equation held exactly: these runs cannot tell that cause from
     # what the equation of another one leaves.
     exact: float = setting(2.0)
@@ -246,23 +250,25 @@ class UnmodelledConfig:
     """Departures that no equation says, and other equations of causes (`search.py`)."""
 
     # log evidence by which an unmodelled effect must beat a catalogue that leaves no structure; one that leaves some
-    # must be no rival any more ...
+    # must compete no more ...
     clean_odds: float = setting(2.0)
     # ... and by how much it must lower χ² besides, unless it stands for two causes more than itself: three that
     # together imitate one departure.
-    least_gain: float = setting(12.0)
+    min_gain: float = setting(12.0)
     warmed_K: float = setting(1.0)  # change of temperature from which a dummy resistor tells of the electronics.
     # sizes and shapes mixed in a free form, as multiples of the fitted ones.
     ratios: tuple[float, ...] = setting((0.2, 0.5, 2.0, 5.0))
-    imitated: float = setting(0.8)  # share of what a cause takes away that a free form of the others must take as well.
+    surrogate_share: float = setting(
+        0.8
+    )  # share of what a cause takes away that a free form of the others must take as well.
 
 
 @dataclass(frozen=True)
 class ExplainedFractionConfig:
-    """Samples held back (`residual.py`, `empirical.py`)."""
+    """Held-out samples (`residual.py`, `empirical.py`)."""
 
     parts: int = setting(4)  # contiguous parts, or interleaved stretches, of every run that are held back.
-    most_chosen_from: int = setting(3)  # hypotheses that are fitted anew where a part is held back.
+    max_candidates: int = setting(3)  # hypotheses that are fitted anew where a part is held back.
     near: float = setting(10.0)  # log odds against a hypothesis, by what it is foretold to gain, from which it is not.
     # standard errors by which χ² must fall on samples held back.
     beyond: float = setting(1.64, "95 % of a normal distribution: by chance it does once in twenty")
@@ -271,7 +277,7 @@ class ExplainedFractionConfig:
         2.2, "benchmarks/gap_rigs.py presence: mechanisms 101-210 and, withheld, 1101-1156; they test nothing"
     )
     block_s: float = setting(0.6)  # length of the stretches that are held back where whole runs cannot be.
-    least_margin: float = setting(0.02)  # one recording does not know its own forecast better than that.
+    min_margin: float = setting(0.02)  # one recording does not know its own forecast better than that.
     # distance of what was measured from the interval of a forecast, or the interval's own width where that is more,
     # from which the forecast is left out.
     contradicts: float = setting(0.1)
@@ -281,8 +287,10 @@ class ExplainedFractionConfig:
 class LearnConfig:
     """When an empirical term is taken (`empirical.py`)."""
 
-    most: int = setting(3)
-    least: float = setting(0.05)  # share of what is left above the noise that a further term must take when held back.
+    max_terms: int = setting(3)
+    min_share: float = setting(
+        0.05
+    )  # share of what is left above the noise that a further term must take when held back.
     chance: float = setting(10.0)  # drop of χ² besides, for each time a sample is held back.
     # share of the gap by which terms beside the causes must beat those on the bare base.
     simpler: float = setting(0.05)
@@ -293,20 +301,24 @@ class LearnConfig:
 
 @dataclass(frozen=True)
 class IdentifiabilityConfig:
-    """When runs tell a parameter or a cause (`experiments.py`)."""
+    """When runs identify a parameter or a cause (`experiments.py`)."""
 
     sigma: float = setting(5.0)  # standard deviations by which a change of the usual size must show.
     nothing: float = setting(0.5)  # standard deviations below which nothing of it shows.
     # share, of what the base leaves of a cause, from which offsets take its shape.
-    own: float = setting(
+    offset_share: float = setting(
         0.975, "the five simulators of tests/core/test_gap_simulators.py and four drawn ones; tested on others"
     )
     alike: float = setting(0.99)  # cosine of what is visible of two causes from which they are one to these runs.
-    lost: float = setting(1e-7)  # share of a parameter's energy that the others must leave for it to matter here.
+    min_visible: float = setting(
+        1e-7
+    )  # share of a parameter's energy that the others must leave for it to matter here.
     traded: float = setting(0.1)  # share of what a parameter is imitated by from which another is named beside it.
     smaller: float = setting(0.2)  # share of the usual size at which a cause is looked at too.
     on_bound: float = setting(0.99)  # share of its largest from which an offset stands on its bound.
-    enough_sigma: float = setting(10.0)  # rivals so many standard deviations apart are told on a real, coloured floor.
+    enough_sigma: float = setting(
+        10.0
+    )  # hypotheses so many standard deviations apart are separated in real, coloured noise.
 
 
 @dataclass(frozen=True)
@@ -324,10 +336,10 @@ class VerdictConfig:
         "most is 0.70; they were looked at for it and test nothing",
     )
     near_share: float = setting(0.01)  # of the gap that one cause more must take to be told as what comes nearest.
-    most_tried: int = setting(4)  # sets that leave least, tried on samples held back beside the best of every size.
+    max_tried: int = setting(4)  # sets that leave least, tried on samples held back beside the best of every size.
     # share of its error on runs held back that one cause more must take to be in the set.
     near_error: float = setting(0.02)
-    imitated_trust: float = setting(0.4)  # in a cause that another equation of those beside it would explain as well.
+    surrogate_trust: float = setting(0.4)  # in a cause that another equation of those beside it would explain as well.
 
 
 @dataclass(frozen=True)
@@ -375,16 +387,16 @@ class GapMethod(NumberedMethod):
     outlier: OutlierConfig = field(default_factory=OutlierConfig)
     offset: OffsetConfig = field(default_factory=OffsetConfig)
     structure: StructureConfig = field(default_factory=StructureConfig)
-    place: FaultLocationConfig = field(default_factory=FaultLocationConfig)
-    colour: NoiseCorrelationConfig = field(default_factory=NoiseCorrelationConfig)
-    floor: NoiseFloorConfig = field(default_factory=NoiseFloorConfig)
+    fault_location: FaultLocationConfig = field(default_factory=FaultLocationConfig)
+    noise_correlation: NoiseCorrelationConfig = field(default_factory=NoiseCorrelationConfig)
+    noise_test: NoiseFloorConfig = field(default_factory=NoiseFloorConfig)
     episode: EpisodeConfig = field(default_factory=EpisodeConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
-    simulator_search: SearchConfig = field(default_factory=lambda: SearchConfig(leads=(8, 5), beam=(3,)))
+    simulator_search: SearchConfig = field(default_factory=lambda: SearchConfig(candidates=(8, 5), beam=(3,)))
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
-    rival: CompetingHypothesesConfig = field(default_factory=CompetingHypothesesConfig)
+    competing: CompetingHypothesesConfig = field(default_factory=CompetingHypothesesConfig)
     unmodelled: UnmodelledConfig = field(default_factory=UnmodelledConfig)
-    shrink: ExplainedFractionConfig = field(default_factory=ExplainedFractionConfig)
+    explained_fraction: ExplainedFractionConfig = field(default_factory=ExplainedFractionConfig)
     learn: LearnConfig = field(default_factory=LearnConfig)
     telling: IdentifiabilityConfig = field(default_factory=IdentifiabilityConfig)
     verdict: VerdictConfig = field(default_factory=VerdictConfig)

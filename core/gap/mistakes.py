@@ -113,9 +113,9 @@ def _in_runs(look: Look) -> Callable[[Case, MistakeConfig], Iterator[DataMistake
                 factor = None if one.factor is None else float(f"{one.factor:.2g}")
                 groups.setdefault((one.what, one.channel, factor), (one, set()))[1].add(k)
         number = numbers(case)
-        pressed = {k for k, run in enumerate(case.runs) if run.kind == "press"}
+        press_runs = {k for k, run in enumerate(case.runs) if run.kind == "press"}
         for one, at in groups.values():
-            yield replace(one, runs=() if at >= pressed else tuple(number[k] for k in sorted(at)))
+            yield replace(one, runs=() if at >= press_runs else tuple(number[k] for k in sorted(at)))
 
     return in_case
 
@@ -157,8 +157,8 @@ def _columns(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
         rough = {}
         for name in ("stage", "force"):
             low, high = np.quantile(channels[name], (0.02, 0.98))
-            bends = np.sort(np.abs(np.diff(channels[name], 2)))
-            rms = np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2))
+            second_differences = np.sort(np.abs(np.diff(channels[name], 2)))
+            rms = np.sqrt(np.mean(second_differences[: max(1, int(0.8 * len(second_differences)))] ** 2))
             rough[name] = float(rms / max(high - low, 1e-12))
         is_commanded = rough["force"] < rough["stage"] and rough["force"] < config.smooth * rough["stage"]
         pair = "stage+force" if is_commanded else ""
@@ -262,8 +262,8 @@ def _directions(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
         if low < 0 and -low > 3.0 * abs(high):
             turned, force = ["force"], -force
     if stage is not None:
-        pressed = force if force is not None else output
-        is_against = pressed is not None and _agreement(stage, pressed) < config.opposed
+        signal = force if force is not None else output
+        is_against = signal is not None and _agreement(stage, signal) < config.opposed
         if is_against and (force is not None or float(np.median(stage)) < 0):
             turned, stage = [*turned, "stage"], -stage
     for name in turned:
@@ -380,15 +380,18 @@ def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
 
 def _check_stated_stiffness(case: Case, config: MistakeConfig) -> list[DataMistake]:
     """Units and gains of a whole case: the pad's stiffness against what the lot states."""
-    size, stated = _size(case), case.stiffness_N_mm
+    size, stiffness_range = _size(case), case.stiffness_N_mm
     stiffness = size.stiffness_N_mm
-    if stated is None or stiffness is None or stated[0] <= stiffness <= stated[1]:
+    if stiffness_range is None or stiffness is None or stiffness_range[0] <= stiffness <= stiffness_range[1]:
         return []
-    middle, evidence = float(np.sqrt(stated[0] * stated[1])), _unusual(size, "force", *stated)
+    middle, evidence = (
+        float(np.sqrt(stiffness_range[0] * stiffness_range[1])),
+        _unusual(size, "force", *stiffness_range),
+    )
     distance, channel, unit, factor = min(
         (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in EVERY_UNIT
     )
-    if distance < abs(np.log(stated[1] / middle)) + np.log(config.near_stated):
+    if distance < abs(np.log(stiffness_range[1] / middle)) + np.log(config.stated_margin):
         return [of_unit(channel, (), unit, factor, evidence)]
     return [of_gain("force", (), middle / stiffness, evidence)]
 
@@ -459,7 +462,7 @@ _Fitted = tuple[Fit, int, _Oddity, float]
 def outlier_run(base: Fit) -> DataMistake | None:
     """Return the mistake of one run that explains what a fit leaves, None where none does."""
     config = base.problem.method.outlier
-    outliers = [one for one in nearest(base, config.promised)[:1] if one[3] >= config.share]
+    outliers = [one for one in nearest(base, config.min_predicted_share)[:1] if one[3] >= config.share]
     return _finding(*outliers[0]) if outliers else None
 
 
@@ -469,10 +472,12 @@ def outlier_run_with_causes(search: "Search") -> DataMistake | None:
     if len(best.ids) < 2 and search.model.is_clean(best):
         return None
     singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[: config.parents]
-    candidates = [(parent, result) for parent in (*singles, best) for result in nearest(parent, config.promised)[:1]]
+    candidates = [
+        (parent, result) for parent in (*singles, best) for result in nearest(parent, config.min_predicted_share)[:1]
+    ]
     if not search.is_explained(best):
         # A cause as large as the mistake hides it from the base; beside it, it may explain the rest.
-        for fitted, run, oddity, share in nearest(base, config.least_promised)[:2]:
+        for fitted, run, oddity, share in nearest(base, config.min_predicted_share_with_cause)[:2]:
             clean = [grown for grown in search.grown_from(fitted) if search.model.is_clean(grown)]
             candidates += [(base, (grown, run, oddity, share)) for grown in clean]
     priced = []
@@ -480,7 +485,7 @@ def outlier_run_with_causes(search: "Search") -> DataMistake | None:
         # The mistake counts as one number more; it is of no catalogue and has no prior odds.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
-        if (share > config.share_beside or parent is base) and fitted.chi2 + price < best.bic - config.ahead:
+        if (share > config.share_with_cause or parent is base) and fitted.chi2 + price < best.bic - config.ahead:
             priced.append((fitted.chi2 + price, (fitted, run, oddity, share)))
     return _finding(*min(priced, key=lambda one: one[0])[1]) if priced else None
 
@@ -497,10 +502,10 @@ def nearest(base: Fit, promised_share: float) -> list[_Fitted]:
     is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
     if len(runs) < problem.method.mistake.fewest_runs or is_within_noise or is_clean(base):
         return []
-    config, promised = problem.method.outlier, sorted(_predicted_gain(base, runs), key=lambda p: -p[0])
+    config, predicted_gains = problem.method.outlier, sorted(_predicted_gain(base, runs), key=lambda p: -p[0])
     result = []
-    for gain, run, oddity in promised[:3]:
-        if gain < max(promised_share * excess, 0.5 * promised[0][0]):
+    for gain, run, oddity in predicted_gains[:3]:
+        if gain < max(promised_share * excess, 0.5 * predicted_gains[0][0]):
             continue
         effects = _effects(run, oddity, base)
         start = np.append(base.coordinates, np.zeros(len(effects)))
@@ -517,7 +522,7 @@ def nearest(base: Fit, promised_share: float) -> list[_Fitted]:
 def _predicted_gain(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:
     """Return to first order by how much each oddity of each run would lower χ² after a refit."""
     tangent, problem = Tangent(base), base.problem
-    promised = []
+    gains = []
     slopes = base.jacobian[base.hypothesis.of_base]
     for run in runs:
         inside = np.zeros(len(problem.measured))
@@ -540,8 +545,8 @@ def _predicted_gain(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _O
                 pull = visible @ base.residual
                 coefficients, *_ = np.linalg.lstsq(gram(visible) + 1e-12 * np.eye(len(visible)), pull, rcond=1e-9)
                 gain = float(coefficients @ pull)
-            promised.append((gain, run, oddity))
-    return promised
+            gains.append((gain, run, oddity))
+    return gains
 
 
 def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:
@@ -561,7 +566,7 @@ def _span(case: Case, column: str) -> float:
 
 
 def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistake | None:
-    case, min_size = fitted.problem.case, fitted.problem.method.outlier.least
+    case, min_size = fitted.problem.case, fitted.problem.method.outlier.min_gain
     number = (numbers(case)[run],)
     of_run = {e.id: values[0] for e, values in zip(fitted.effects, fitted.effect_values, strict=True)}
     sizes = [of_run[effect.id] for effect in _effects(run, oddity, fitted)]

@@ -280,7 +280,7 @@ class Problem:
     @cached_property
     def correlation_config(self) -> NoiseCorrelationConfig:
         """How noise that fades is read."""
-        return self.method.colour.slower(self.model.times_slower(self.case))
+        return self.method.noise_correlation.slower(self.model.times_slower(self.case))
 
     @cached_property
     def priors(self) -> Sequence[Prior]:

@@ -171,7 +171,7 @@ def read_noise(stretches: Sequence[Stretch], config: NoiseCorrelationConfig) -> 
 def is_noise(result: Fit) -> bool:
     """Whether what a fit leaves in channels of fading noise fades alike everywhere and is noise."""
     # What has not faded by the longest time tried is no noise but a wander: an R0 that walks.
-    problem, config = result.problem, result.problem.method.floor
+    problem, config = result.problem, result.problem.method.noise_test
     longest_s = config.wanders * problem.correlation_config.longest_s
     if any(correlation.fading_s > longest_s for correlation in problem.correlation.values()):
         return False
@@ -213,13 +213,13 @@ def noise_chance(result: Fit, channels: Sequence[str] = ()) -> float:
 
 def _is_even(result: Fit, channel: str) -> bool:
     """Whether one fading noise fits both of two conditions alike; white noise may grow with the load."""
-    problem, config = result.problem, result.problem.method.floor
+    problem, config = result.problem, result.problem.method.noise_test
     white, correlation = problem.sigma[channel], problem.correlation[channel]
     blocks = problem.blocks_of(channel)
     for halves in zip(*(list(problem.model.halves(result, block)) for block in blocks), strict=True):
         pairs = [(b, is_in) for b, is_in in zip(blocks, halves, strict=True) if is_in is not None]
         sides = [[(b, (is_in == side).astype(np.float64)) for b, is_in in pairs] for side in (False, True)]
-        parts = [[_stretch(result, b, is_used) for b, is_used in side] for side in sides]
+        parts = [[_stretch(result, b, mask) for b, mask in side] for side in sides]
         if any(sum(float(s.is_used.sum()) for s in part) < config.fewest for part in parts):
             continue
         gain = 0.0
@@ -235,7 +235,7 @@ def _is_even(result: Fit, channel: str) -> bool:
 
 def _remembers(result: Fit, blocks: Sequence[Block]) -> float:
     """Return by how many standard errors a residual follows its own past (Box and Pierce 1970)."""
-    lags = result.problem.method.floor.lags
+    lags = result.problem.method.noise_test.lags
     parts = [result.residual[b.rows] for b in blocks]
     products, count, energy = np.zeros(lags), 0, 0.0
     for part in parts:
@@ -313,12 +313,12 @@ class _Fold:
         # To first order: the χ² that one step from its slopes promises on the samples a fit sees.
         pull = [(f, f.jacobian @ f.residual) for f in foretold]
         foretold = [replace(f, chi2=f.chi2 - float(slope @ f.covariance @ slope)) for f, slope in pull]
-        yardstick = Yardstick.of((*now, *foretold))
-        config = problem.method.shrink
+        yardstick = Yardstick.from_fits((*now, *foretold))
+        config = problem.method.explained_fraction
         min_evidence = max(map(yardstick.log_evidence, now)) - config.near
         near = sorted((f for f in foretold if yardstick.log_evidence(f) > min_evidence), key=lambda f: f.bic)
-        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[: config.most_chosen_from]]
-        yardstick = Yardstick.of((*now, *fitted))
+        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[: config.max_candidates]]
+        yardstick = Yardstick.from_fits((*now, *fitted))
         return replace(self, after=max((*now, *fitted), key=yardstick.log_evidence))
 
 
@@ -346,7 +346,7 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_chosen: bool =
     ]
     chosen = folds_refitted if is_chosen else [fold.chosen(competing) for fold in folds_refitted]
     gap = {c: _channel_gap(chosen, best.problem, c) for c in best.problem.scored_channels}
-    config = best.problem.method.shrink
+    config = best.problem.method.explained_fraction
     explained_fraction = ExplainedFraction.checked(
         _forecast(folds_refitted, best), _explained_fraction(gap.values()), config
     )
@@ -355,7 +355,7 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_chosen: bool =
 
 
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
-    config = problem.method.shrink
+    config = problem.method.explained_fraction
     presses = np.flatnonzero([run.kind == "press" for run in problem.case.runs])
     # What belongs to one run cannot be foretold by another.
     is_by_run = len(presses) > 1 and not any(effect.belongs_to_run for effect in hypothesis.effects)
@@ -405,7 +405,9 @@ def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
         ]
         gain, error = _held_out_gain(pairs, best.problem)
         sure[effect_id] = gain / error if error > 0.0 else 0.0
-    return sorted((i for i, z in sure.items() if z <= best.problem.method.shrink.beyond), key=lambda i: sure[i])
+    return sorted(
+        (i for i, z in sure.items() if z <= best.problem.method.explained_fraction.beyond), key=lambda i: sure[i]
+    )
 
 
 def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
@@ -442,7 +444,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     unseen samples, and what the hypothesis leaves on those it has seen. Where that has no structure it
     is an error of the noise level, and widens the interval alone.
     """
-    problem, spreads, config = best.problem, [], best.problem.method.shrink
+    problem, spreads, config = best.problem, [], best.problem.method.explained_fraction
     for fold in folds:
         # (samples,) standard deviation of the prediction by that of the parameters: the diagonal of J C Jᵀ alone, for
         # the whole matrix would be samples by samples.
@@ -469,7 +471,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         # What these runs do not tell of a parameter may turn out to be right.
         optimist.append(ChannelGap(before[0], float(np.sqrt(noise_floor**2 + unexplained**2)), noise_floor))
     predicted = _explained_fraction(likely)
-    margin = max(config.least_margin, predicted - _explained_fraction(pessimist))
+    margin = max(config.min_margin, predicted - _explained_fraction(pessimist))
     return predicted, max(0.0, predicted - margin), min(1.0, max(predicted + margin, _explained_fraction(optimist)))
 
 

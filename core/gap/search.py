@@ -61,7 +61,7 @@ def screen(result: Fit, candidates: Sequence[Probe]) -> list[Candidate]:
     return sorted(best.values(), key=lambda candidate: -candidate.gain)
 
 
-def hiding(result: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
+def find_hidden_probes(result: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
     """Return the last probe of every effect that the fitted parameters imitate to this share."""
     space = Tangent(result)
     last: dict[str, Probe] = {}
@@ -95,7 +95,7 @@ class Search:
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
         parents = [self.base]
-        for size, max_candidates in enumerate(self._config.leads, start=1):
+        for size, max_candidates in enumerate(self._config.candidates, start=1):
             self.on_progress(f"fitting {size} effect{'s' if size > 1 else ''} jointly with the base")
             grown = [child for parent in parents for child in self._grow(parent, max_candidates)]
             if not grown:
@@ -106,12 +106,12 @@ class Search:
                     if result.hypothesis.episode_count and not self.model.is_clean(result):
                         self.store(relocate_episodes(result))
             self.settle_noise()
-            if size == len(self._config.leads):
+            if size == len(self._config.candidates):
                 break
             leader = leader_of(self.fits)
-            is_promised = any(candidate.gain > self._config.gain for candidate in screen(leader, self._probes)[:1])
+            is_promising = any(candidate.gain > self._config.gain for candidate in screen(leader, self._probes)[:1])
             # What promises nothing to first order must be placed to know.
-            if not is_promised and not any(child.bic < leader.bic for child in self._grow_episodic(leader)):
+            if not is_promising and not any(child.bic < leader.bic for child in self._grow_episodic(leader)):
                 break
             ranked = sorted((f for f in self.fits.values() if len(f.ids) == size), key=lambda f: f.bic)
             # Several are grown on: the right pair often begins with the second-best single cause.
@@ -122,9 +122,9 @@ class Search:
             self.settle_noise()
         # Smaller hypotheses get the episodes that the closest one has: places are no cause.
         donor = self.closest
-        placed = {e.id for e in donor.effects if e.is_episodic}
+        episodic_ids = {e.id for e in donor.effects if e.is_episodic}
         for ids, result in list(self.fits.items()) if donor.hypothesis.episode_count else ():
-            if set(ids) < set(donor.ids) and placed <= set(ids):
+            if set(ids) < set(donor.ids) and episodic_ids <= set(ids):
                 hypothesis = replace(result.hypothesis, episodes=donor.hypothesis.episodes)
                 self.store(fit(result.problem, hypothesis, result.coordinates))
         self._conclude()
@@ -134,7 +134,7 @@ class Search:
         self.on_progress("fitting other realisations of the likely causes")
         self.best = self._max_likelihood_fit
         is_settled = len(self.best.ids) < 2 and self.model.is_clean(self.best)
-        share = self._config.rival if is_settled else self._config.likely
+        share = self._config.likely_clean if is_settled else self._config.likely
         singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
         likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
         for result in likely[: self._config.with_forms]:
@@ -157,7 +157,7 @@ class Search:
         parents = one_less(self.fits, self.best).values() if len(self.best.ids) > 1 else ()
         self.unmodelled = best_unmodelled(self.best, [self.base, *parents], list(self.fits.values()))
 
-    def keep_not_excluded(self) -> None:
+    def store_not_excluded(self) -> None:
         """Take causes that a free form of the others imitates out of the best; they stay in play."""
         while len(self.best.ids) > 1:
             smaller = {i: result for i, result in one_less(self.fits, self.best).items() if self.is_explained(result)}
@@ -180,7 +180,7 @@ class Search:
             larger = [
                 fit_jointly(parent, candidate, steps=40)
                 for candidate in screen(parent, self._probes)
-                if candidate.gain > self._config.beside or candidate.hidden > self._config.hiding
+                if candidate.gain > self._config.added_gain or candidate.hidden > self._config.hiding
             ]
             for result in larger:
                 self.store(result)
@@ -191,7 +191,7 @@ class Search:
                 self.store(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
             # Effects that hide promise little: they are fitted in the place of each cause.
             for rest in one_less(self.fits, parent).values():
-                for probe in hiding(rest, self._probes, self._config.hiding) if rest.ids else ():
+                for probe in find_hidden_probes(rest, self._probes, self._config.hiding) if rest.ids else ():
                     if tuple(sorted({*rest.ids, probe.effect.id})) not in self.fits:
                         start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
                         self.store(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
@@ -240,12 +240,12 @@ class Search:
             return
         if (before := self.fits.get(result.ids)) is not None:
             # The same causes may end in several minima; one noise level judges them all.
-            result = max(before, result, key=Yardstick.of((*self.fits.values(), result)).log_evidence)
+            result = max(before, result, key=Yardstick.from_fits((*self.fits.values(), result)).log_evidence)
         self.fits[result.ids] = result
 
     def grown_from(self, parent: Fit) -> list[Fit]:
         """Return fits of another start with each of its likeliest effects; none is kept."""
-        candidates = screen(parent, self._probes)[: self._config.leads[-1]]
+        candidates = screen(parent, self._probes)[: self._config.candidates[-1]]
         return [fit_jointly(parent, candidate) for candidate in candidates] + self._grow_episodic(parent)
 
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
@@ -306,20 +306,23 @@ def best_unmodelled(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> F
     joint_fits = [fit_jointly(parent, candidate) for parent in parents for candidate in screen(parent, probes)[:1]]
     if not joint_fits:
         return None
-    yardstick = Yardstick.of((*fits, *joint_fits))
+    yardstick = Yardstick.from_fits((*fits, *joint_fits))
     closest = max(joint_fits, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
     is_decisive = ahead > (
-        problem.method.unmodelled.clean_odds if problem.model.is_clean(closest) else problem.method.rival.odds
+        problem.method.unmodelled.clean_odds if problem.model.is_clean(closest) else problem.method.competing.odds
     )
     is_simpler = len(closest.ids) <= len(best.ids) - 2
-    is_better = is_simpler or closest.chi2 < best.chi2 - problem.method.unmodelled.least_gain
+    is_better = is_simpler or closest.chi2 < best.chi2 - problem.method.unmodelled.min_gain
     return closest if is_decisive and is_better else None
 
 
 def causes_with_surrogate(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
     """Return the causes that a free form of the others, `smaller`, imitates, the weakest first."""
-    order, min_share = sorted(smaller, key=lambda one: smaller[one].chi2), best.problem.method.unmodelled.imitated
+    order, min_share = (
+        sorted(smaller, key=lambda one: smaller[one].chi2),
+        best.problem.method.unmodelled.surrogate_share,
+    )
     return [effect_id for effect_id in order if surrogate_share(smaller[effect_id], best) >= min_share]
 
 

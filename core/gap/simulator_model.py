@@ -128,14 +128,14 @@ def likely_pairs(base: Fit, candidates: Sequence[Effect]) -> list[tuple[Effect, 
             rows += [signature / size] if size > 0.0 else []
             owner += [k] if size > 0.0 else []
     alike = np.array(rows) @ np.array(rows).T if rows else np.zeros((0, 0))
-    promised, of = np.array([float(row @ base.residual) for row in rows]), np.array(owner)
+    projections, of = np.array([float(row @ base.residual) for row in rows]), np.array(owner)
     gains: dict[tuple[Effect, ...], float] = {}
     for i, j in combinations(range(len(candidates)), 2):
         one, other = np.flatnonzero(of == i), np.flatnonzero(of == j)
-        a, b, c = promised[one][:, None], promised[other][None, :], alike[np.ix_(one, other)]
+        a, b, c = projections[one][:, None], projections[other][None, :], alike[np.ix_(one, other)]
         together = (a**2 + b**2 - 2.0 * a * b * c) / np.maximum(1.0 - c**2, 1e-6)
         gains[candidates[i], candidates[j]] = float(together.max(initial=0.0))
-    return sorted(gains, key=lambda pair: -gains[pair])[: base.problem.method.search.most_pairs]
+    return sorted(gains, key=lambda pair: -gains[pair])[: base.problem.method.search.max_pairs]
 
 
 def rows_over_bounds(effect: Effect) -> list[tuple[float, ...]]:
@@ -346,7 +346,7 @@ class SimulatorModel(ReportingModel):
     # What it leaves.
 
     def is_clean(self, result: Fit) -> bool:
-        return noise_chance(result) > self.method.floor.chance
+        return noise_chance(result) > self.method.noise_test.chance
 
     def is_uneven(self, result: Fit) -> bool:
         return False

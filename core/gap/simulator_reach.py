@@ -206,7 +206,9 @@ def explanatory_signals(simulator: Simulator, result: Fit, channel: str) -> list
     for parts in _signals(simulator, result).values():
         low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
         scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
-        each = [columns_of(x, runs[b.run], times, problem.method.floor) for x, b in zip(scaled, blocks, strict=True)]
+        each = [
+            columns_of(x, runs[b.run], times, problem.method.noise_test) for x, b in zip(scaled, blocks, strict=True)
+        ]
         for kind in each[0]:
             rows = np.zeros((len(each[0][kind]), len(result.predicted)))
             for block, columns in zip(blocks, each, strict=True):
@@ -395,7 +397,7 @@ def _exchanged(model: RoughModel, case: Case) -> tuple[DataMistake, float] | Non
     for pair in combinations((*model.simulator.inputs, *model.simulator.channels), 2):
         runs = [run.changed(partial(_swapped, one=pair[0], other=pair[1])) for run in runs_of(case)]
         if (share := _agreement(model.rough_fit(Case(case.serial, tuple(runs))))) > model.method.mistake.good:
-            return _of_exchange(*pair, ()), 1.0 - share
+            return _exchange_mistake(*pair, ()), 1.0 - share
     return None
 
 
@@ -403,7 +405,7 @@ def _swapped(columns: Columns, one: str, other: str) -> Columns:
     return {**columns, one: columns[other], other: columns[one]}
 
 
-def _of_exchange(one: str, other: str, runs: tuple[int, ...]) -> DataMistake:
+def _exchange_mistake(one: str, other: str, runs: tuple[int, ...]) -> DataMistake:
     evidence, repair = (reason(code, one=one, other=other) for code in ("data.swapped", "data.repair.swap"))
     return DataMistake("swapped_columns", f"{one}+{other}", runs, None, evidence, repair)
 
@@ -428,7 +430,7 @@ def _of_one_run(model: RoughModel, case: Case) -> tuple[DataMistake, float, floa
                 if residual <= max(1.0 - config.good, 0.0 if is_free else config.stands_out * of_others):
                     tests.append((residual / max(as_it_is, 1e-300), mistake, residual, as_it_is))
     share, best, rest, unrepaired = min(tests, key=lambda one: one[0], default=(np.inf, None, 0.0, 0.0))
-    return (best, rest, unrepaired) if best is not None and share <= config.asked else None
+    return (best, rest, unrepaired) if best is not None and share <= config.question_share else None
 
 
 def _residual_of_run(model: RoughModel, others: Fit, run: SimulatorRun) -> float:
@@ -461,13 +463,13 @@ def _repairs(
     except SimulatorFailed:
         gives = {}
     for channel, predicted in gives.items():
-        yield _of_factor(channel, number, -1.0, config.same_factor), _scaled(run, channel, -1.0)
+        yield _factor_mistake(channel, number, -1.0, config.same_factor), _scaled(run, channel, -1.0)
         slope = float(np.polyfit(predicted, columns[channel], 1)[0]) if np.ptp(predicted) > 0.0 else 0.0
         if slope != 0.0 and abs(np.log(abs(slope))) > np.log(config.apart):
-            yield _of_factor(channel, number, 1.0 / slope, config.same_factor), _scaled(run, channel, 1.0 / slope)
+            yield _factor_mistake(channel, number, 1.0 / slope, config.same_factor), _scaled(run, channel, 1.0 / slope)
     for name in simulator.inputs:
         for factor in (-1.0, *FACTORS.values()):
-            yield _of_factor(name, number, factor, config.same_factor), _scaled(run, name, factor)
+            yield _factor_mistake(name, number, factor, config.same_factor), _scaled(run, name, factor)
         if np.ptp(columns[name]) == 0.0 and any(np.ptp(one.columns[name]) for one in runs_of(others.problem.case)):
             dead = reason("data.dead", channel=name)
             yield DataMistake("constant", name, (number,), None, dead, Reason("data.repair.dead")), None
@@ -477,14 +479,14 @@ def _repairs(
             mistake = of_shifted(name, (number,), unit, factor, offset, reason("data.run.shifted", channel=name))
             yield mistake, _scaled(run, name, factor, offset)
     for pair in combinations(every, 2):
-        yield _of_exchange(*pair, (number,)), run.changed(partial(_swapped, one=pair[0], other=pair[1]))
+        yield _exchange_mistake(*pair, (number,)), run.changed(partial(_swapped, one=pair[0], other=pair[1]))
 
 
 def _scaled(run: SimulatorRun, name: str, factor: float, offset: float = 0.0) -> SimulatorRun:
     return run.changed(lambda columns: {**columns, name: factor * columns[name] + offset})
 
 
-def _of_factor(name: str, number: int, factor: float, same: float) -> DataMistake:
+def _factor_mistake(name: str, number: int, factor: float, same: float) -> DataMistake:
     if abs(np.log(abs(factor))) < np.log(same) and factor < 0.0:
         return of_sign(name, (number,), reason("data.run.apart", channel=name, ratio=1.0 / factor))
     return apart(name, number, factor, FACTORS, same)

@@ -17,12 +17,18 @@ from softcal.core.gap.evidence import (
     with_residual_location,
 )
 from softcal.core.gap.experiments import NextExperiment, propose_experiment
+from softcal.core.gap.fault_location import (
+    cases_of_maps,
+    conditions_of_presses,
+    explained_twin,
+    likely_stages,
+    loose_noise,
+)
 from softcal.core.gap.fit import Map, fit, leader_of, one_less, strongest_regimes, structure
 from softcal.core.gap.hypothesis import BASE, Hypothesis, Probe
 from softcal.core.gap.method import METHOD, GapMethod
 from softcal.core.gap.mistakes import find_repeats, mistakes, outlier_run, outlier_run_with_causes, suspect_units
 from softcal.core.gap.model import Block, Directions, Fit, Fits, Problem, Sizes
-from softcal.core.gap.places import cases_of_maps, conditions_of_presses, explained_twin, likely_stages, loose_noise
 from softcal.core.gap.residual import noise_levels, with_driving_noise
 from softcal.core.gap.search import Progress, Search
 from softcal.core.gap.twin_reach import (
@@ -91,7 +97,7 @@ class TwinModel(ReportingModel):
     # What it predicts.
 
     def scale_of(self, case: Case) -> RigScale:
-        return RigScale.of(case)
+        return RigScale.from_case(case)
 
     def channels_of(self, run: Run) -> tuple[str, ...]:
         # What drives the twin is not predicted.

@@ -42,7 +42,7 @@ LEVELS = 6
 
 def first_noise(case: Case) -> dict[str, float]:
     """Return noise per channel that is no less than what a base that is not fitted yet leaves."""
-    of_rig = RigScale.of(case)
+    of_rig = RigScale.from_case(case)
     levels = {
         "force_N": 0.02 * of_rig.factor("N"),
         "output_V": case.readout.step_V,
@@ -60,7 +60,7 @@ def rough_start(case: Case) -> Array:
     stage, force, output = (
         np.concatenate(case.recorded(c)) if case.has(c) else None for c in ("stage_mm", "force_N", "output_V")
     )
-    u0, k1, k3, r0, kappa = (RigScale.of(case).sized(p).usual for p in BASE)
+    u0, k1, k3, r0, kappa = (RigScale.from_case(case).sized(p).usual for p in BASE)
     loaded = force if force is not None else output
     if stage is not None and loaded is not None:
         # The lowest twentieth of the stroke is off the pad in every profile.
@@ -142,9 +142,9 @@ def menu(case: Case, excitation: ExcitationRange) -> tuple[MenuEntry, ...]:
     def zeros(t_s: Array) -> dict[str, Array]:
         return {name: np.zeros(len(t_s)) for name in ("force_N", "output_V") if case.has(name)}
 
-    pressed: dict[str, Profile] = {}
+    profiles_by_name: dict[str, Profile] = {}
     if case.has("stage_mm"):
-        pressed = {
+        profiles_by_name = {
             "rate_sweep": profiles.rate_sweep(d),
             "steps_with_holds": profiles.steps_with_holds([0.4 * d, 0.7 * d, d, 0.5 * d], hold_s=20.0),
             "long_hold": profiles.long_hold(d, 300.0),
@@ -153,7 +153,7 @@ def menu(case: Case, excitation: ExcitationRange) -> tuple[MenuEntry, ...]:
             "small_reversals": profiles.small_reversals(d),
             "fast_ramps": profiles.ramps([d] * 10, 3.0, name="fast ramps"),
         }
-    for name, profile in pressed.items():
+    for name, profile in profiles_by_name.items():
         t_s, stage_mm = profile.sample(rate_Hz)
         add(name, profile.duration_s / 60, profile.name, t_s, "press", stage_mm=stage_mm, **zeros(t_s))
     still_s, t_s = (np.arange(int(duration_s * rate_Hz)) / rate_Hz for duration_s in (REST_s, 60.0))
@@ -173,7 +173,7 @@ def menu(case: Case, excitation: ExcitationRange) -> tuple[MenuEntry, ...]:
 
 def explanatory_chain_signals(result: Fit, channel: str) -> list[Array]:
     """Return what the chain of the base knows, (samples,) each, 0 outside the pressed runs."""
-    problem, out, config = result.problem, dict[str, Array](), result.problem.method.floor
+    problem, out, config = result.problem, dict[str, Array](), result.problem.method.noise_test
     blocks = [b for b in problem.blocks_of(channel, "press") if problem.case.runs[b.run].stage_mm is not None]
     runs = [problem.case.runs[b.run] for b in blocks]
     depths = [np.maximum(np.asarray(run.stage_mm) - result.base.u0_mm, 0.0) for run in runs]

@@ -18,7 +18,7 @@ FACTORS: dict[str, dict[str, float]] = {
 }
 """Unit of measure → others of its quantity, and the factor between the two."""
 
-NEAR = 1.4
+MAX_RANGE_RATIO = 1.4
 """How far the ratio of two ranges of loads may lie from a factor: both were pressed by one programme."""
 
 ONE_SIDED = 0.3
@@ -47,7 +47,7 @@ def compare_with_source(source: LabelledRecording, others: Iterable[LabelledReco
 
 
 def _signs(source: LabelledRecording, other: LabelledRecording) -> Iterator[Reason]:
-    sides = [_side(one.reference) for one in (source, other)]
+    sides = [_sign_under_load(one.reference) for one in (source, other)]
     if sides[0] * sides[1] < 0:
         yield reason("inspect.other_sign", column="reference")
     # Against the load itself, whichever sign it is written with.
@@ -68,12 +68,12 @@ def _units(source: LabelledRecording, other: LabelledRecording) -> Iterator[Reas
     log_ratio = abs(np.log(loads))
     unit_name = min(factors, key=lambda name: abs(log_ratio - np.log(factors[name])))
     by_output = np.log(loads / outputs) * np.sign(np.log(loads))
-    is_near = abs(log_ratio - np.log(factors[unit_name])) < np.log(NEAR)
+    is_near = abs(log_ratio - np.log(factors[unit_name])) < np.log(MAX_RANGE_RATIO)
     if is_near and abs(by_output - np.log(factors[unit_name])) < abs(by_output):
         yield reason("inspect.other_unit", times=loads, factor=factors[unit_name], named=unit_name, unit=unit)
 
 
-def _side(reference: Array) -> int:
+def _sign_under_load(reference: Array) -> int:
     """Return the sign of a reference under load; 0 for both signs."""
     low, high = np.quantile(reference, (0.01, 0.99))
     small, large = sorted((abs(low), abs(high)))

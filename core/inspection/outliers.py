@@ -51,13 +51,13 @@ def find_overflows(values: Array, config: InspectionConfig) -> Mask:
     while True:
         remaining = values[np.isfinite(values) & ~is_code]
         ends = {end for end in (remaining.min(initial=np.inf), remaining.max(initial=-np.inf)) if np.isfinite(end)}
-        codes = [end for end in ends if _is_apart(remaining, end, config)]
+        codes = [end for end in ends if _is_overflow_code(remaining, end, config)]
         if not codes:
             return is_code
         is_code |= np.isin(values, codes)
 
 
-def _is_apart(values: Array, end: float, config: InspectionConfig) -> bool:
+def _is_overflow_code(values: Array, end: float, config: InspectionConfig) -> bool:
     others = values[values != end]
     if len(others) <= len(values) / 2:
         return False

@@ -40,7 +40,7 @@ def inspect_samples(
     for name in (REFERENCE, "stage_mm", "output"):
         if name not in columns:
             continue
-        for kind, is_invalid in _invalid(name, t_s, columns[name], stage_mm, sample_rate_Hz, config):
+        for kind, is_invalid in _find_invalid(name, t_s, columns[name], stage_mm, sample_rate_Hz, config):
             findings += _outlier_findings(kind, name, t_s, columns[name], is_invalid)
             kinds[is_invalid] = MASK_KINDS.index(_mask_kind(kind, name))
             values[is_invalid] = columns[name][is_invalid]
@@ -66,7 +66,7 @@ def _mask_kind(kind: str, column: str) -> str:
     return "no_reference" if kind == "missing" else "reference_outlier"
 
 
-def _invalid(
+def _find_invalid(
     name: str, t_s: Array, values: Array, stage_mm: Array | None, rate_Hz: float, config: InspectionConfig
 ) -> Iterator[tuple[str, Mask]]:
     is_missing = np.isnan(values)

@@ -186,7 +186,7 @@ def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) ->
     windows of the target after its map.
     """
     edges, source_share = _time_shares(source, cells)
-    return float(np.abs(source_share - _shares(mapped_target, edges)).sum() / 2)
+    return float(np.abs(source_share - _occupancy(mapped_target, edges)).sum() / 2)
 
 
 @lru_cache(maxsize=CACHED)
@@ -195,10 +195,10 @@ def _time_shares(source: OutputRecording, cells: int) -> tuple[Array, Array]:
     # Equal shares of the source per cell: each difference from them is then known equally well.
     windows = source.bridged.windows
     edges = np.quantile(windows[:, -1], np.linspace(0, 1, cells + 1)[1:-1])
-    return edges, _shares(windows, edges)
+    return edges, _occupancy(windows, edges)
 
 
-def _shares(windows: Array, edges: Array) -> Array:
+def _occupancy(windows: Array, edges: Array) -> Array:
     # Loading and unloading pass a level at different loads (hysteresis): they are counted apart.
     rising = windows[:, -5:].mean(axis=1) > windows[:, :5].mean(axis=1)
     cell = 2 * np.searchsorted(edges, windows[:, -1]) + rising

@@ -118,9 +118,9 @@ def _smoothed(recording: OutputRecording, average: int) -> Array:
 @lru_cache(maxsize=CACHED)
 def output_noise(recording: OutputRecording) -> float:
     """Return the standard deviation of the noise from second differences, at least that of the readout's steps."""
-    bends = np.concatenate([np.diff(recording.output[part], 2) for part in recording.segments])
+    second_differences = np.concatenate([np.diff(recording.output[part], 2) for part in recording.segments])
     # 0.6745 makes a standard deviation of a median; a second difference has six times the variance of one sample.
-    noise = float(np.median(np.abs(bends))) / 0.6745 / np.sqrt(6) if len(bends) else 0.0
+    noise = float(np.median(np.abs(second_differences))) / 0.6745 / np.sqrt(6) if len(second_differences) else 0.0
     # A coarse converter hides its noise: what is left is the rounding, uniform over one step.
     return max(noise, recording.step / np.sqrt(12) if np.isfinite(recording.step) else 0.0)
 
@@ -131,13 +131,13 @@ def _stretches(source: OutputRecording, length: int, average: int, sign: float, 
     path = level_path(source, average, config.crossing)
     swings = 0.0 if path is None else path.swings * length / len(source)
     if swings < config.ends.enough_swings:
-        placed = _placed(source, min(length, len(source)), average, sign, config)
-        return placed, placed
+        shifted_ends = _shifted_ends(source, min(length, len(source)), average, sign, config)
+        return shifted_ends, shifted_ends
     full = _stretch_ends(source, average, sign, [(0, len(source))], config)
-    return full, _placed(source, min(length, len(source) // 2), average, sign, config)
+    return full, _shifted_ends(source, min(length, len(source) // 2), average, sign, config)
 
 
-def _placed(source: OutputRecording, length: int, average: int, sign: float, config: MapConfig) -> Ends:
+def _shifted_ends(source: OutputRecording, length: int, average: int, sign: float, config: MapConfig) -> Ends:
     starts = np.linspace(0, len(source) - length, config.ends.stretches).astype(int)
     return _stretch_ends(source, average, sign, [(start, start + length) for start in starts], config)
 

@@ -71,7 +71,7 @@ class TransportMap:
         return cls(stored, displacement, family, neighbours)
 
 
-def exact_map(target: Array, source: Array, placed: Array) -> TransportMap:
+def exact_map(target: Array, source: Array, positions: Array) -> TransportMap:
     """Couple target windows with source windows at least squared distance, and carry them to where the source stands.
 
     The paper's map: barycentric projection of the exact plan (Kim et al. 2020, eq. 3).
@@ -82,9 +82,9 @@ def exact_map(target: Array, source: Array, placed: Array) -> TransportMap:
         placed: (n, taps) where these stand in the space f reads; the source windows themselves, unless they were moved.
     """
     rows = evenly(len(source), MAX_WINDOWS)
-    target, source, placed = target[evenly(len(target), MAX_WINDOWS)], source[rows], placed[rows]
+    target, source, positions = target[evenly(len(target), MAX_WINDOWS)], source[rows], positions[rows]
     plan = solve_exact(_squared_distances(target, source))
-    return TransportMap(target, barycentric(plan, placed) - target, EXACT)
+    return TransportMap(target, barycentric(plan, positions) - target, EXACT)
 
 
 def fit_exact(problem: FitProblem) -> TransportMap:

@@ -14,7 +14,7 @@ from softcal.core.maps.crossing import CACHED, moving_mean
 from softcal.core.maps.synchrony import Synchrony, common_time, find_synchrony, ranks
 from softcal.core.recording import Array, OutputRecording
 
-AVERAGED = 50
+MEAN_SAMPLES = 50
 """Samples of the means that are compared: a low-pass takes noise of the source away as well, and that is no lag."""
 
 
@@ -42,20 +42,20 @@ def find_readout_lag(
     slowed source as well. Loads that change slowly show no lag, and suffer from none.
     """
     config = maps.lag
-    shared = synchrony if synchrony.is_synchronous else find_synchrony(_slowed(source, 0.5), target, maps)
+    shared = synchrony if synchrony.is_synchronous else find_synchrony(_low_pass(source, 0.5), target, maps)
     if not shared.is_synchronous:
         return None
     time_s = common_time(source, target, until_s=shared.until_s)
     # Ten means that share no sample: fewer show no lag.
-    if len(time_s) < 10 * AVERAGED:
+    if len(time_s) < 10 * MEAN_SAMPLES:
         return None
     unit = _ranks(_at(target, time_s))
     prompt = _unexplained(_at(source, time_s), unit)
-    if _unexplained(_at(_slowed(source, config.min_lag_s), time_s), unit) >= prompt:
+    if _unexplained(_at(_low_pass(source, config.min_lag_s), time_s), unit) >= prompt:
         return None  # Nearly every unit ends here: what follows slower is met at least a little by the shortest lag.
     # A lag below the least is looked for, too, so that it is not taken for a longer one.
     lags_s = config.min_lag_s * 2.0 ** (np.arange(-4, 8) / 2)
-    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit) for lag_s in lags_s]
+    slow = [_unexplained(_at(_low_pass(source, lag_s), time_s), unit) for lag_s in lags_s]
     best = int(np.argmin(slow))
     late = min(prompt, *(_unexplained(_at(source, time_s - lag_s), unit) for lag_s in lags_s))
     explained = late / max(slow[best], 1e-12)
@@ -65,7 +65,7 @@ def find_readout_lag(
 
 
 @lru_cache(maxsize=CACHED)
-def _slowed(recording: OutputRecording, lag_s: float) -> OutputRecording:
+def _low_pass(recording: OutputRecording, lag_s: float) -> OutputRecording:
     """Return the recording behind a first-order low-pass that stood at its first value before.
 
     Every unit of a lot is compared with one and the same source.
@@ -89,4 +89,4 @@ def _unexplained(source: Array, unit_ranks: Array) -> float:
 
 def _ranks(output: Array) -> Array:
     # Neighbouring means share nearly all their samples: five to a length hold what all do.
-    return ranks(moving_mean(output, AVERAGED)[:: AVERAGED // 5])
+    return ranks(moving_mean(output, MEAN_SAMPLES)[:: MEAN_SAMPLES // 5])

@@ -70,8 +70,8 @@ def compare_sources(groups: Mapping[str, Sequence[LoadGroup]], config: SharedLoa
         of = [one for pair, one in apart.items() if pair[0] == source]
         among = [one for pair, one in apart.items() if source not in pair]
         if of:
-            stated = np.mean([one[2] ** 2 for one in among or of])
-            variance = (stated + sum(one[1] ** 2 for one in among) / 2) / (1 + len(among) / 2)
+            squared_errors = np.mean([one[2] ** 2 for one in among or of])
+            variance = (squared_errors + sum(one[1] ** 2 for one in among) / 2) / (1 + len(among) / 2)
             bias, rmse, _ = np.median(of, axis=0)
             error = float(np.sqrt(variance))
             biases[source] = SourceBias(

@@ -18,7 +18,7 @@ from softcal.core.messages.sentences import UNIT_SENTENCES
 
 Value = Union[str, float, int, "Reason"]
 
-DOUBT = "doubt."
+SUSPECT_AUDIT = "doubt."
 """How the codes of reasons begin that set an audit aside."""
 
 PLAIN = "plain"
@@ -28,7 +28,7 @@ ENGLISH: dict[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, *
 """One sentence a code, values in braces; a value that is a reason is a phrase of its own."""
 
 LIMITS = ("limit", "judged")
-BESIDE_LIMIT = ("rmse", "lower", "upper", "error", "day")
+VALUES_IN_LIMIT_UNIT = ("rmse", "lower", "upper", "error", "day")
 """Values of a sentence in the unit of its `limit`: limits, and errors."""
 
 _LOADERS: list[Callable[[], object]] = []
@@ -117,7 +117,9 @@ def fill_sentence(sentence: str, values: Mapping[str, object]) -> str:
     numbers = {name: value for name, value in values.items() if isinstance(value, float)}
     texts = {name: format_limit(numbers[name]) for name in LIMITS if name in numbers}
     if "limit" in numbers:
-        texts |= {name: format_error(numbers[name], numbers["limit"]) for name in BESIDE_LIMIT if name in numbers}
+        texts |= {
+            name: format_error(numbers[name], numbers["limit"]) for name in VALUES_IN_LIMIT_UNIT if name in numbers
+        }
     return _Filler().vformat(sentence, (), {**values, **texts})
 
 

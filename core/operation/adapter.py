@@ -13,7 +13,7 @@ from softcal.core.network.network import Network
 from softcal.core.operation.activity import CalibratedOperation, RestCurve, learn_operation
 from softcal.core.operation.cycles import CycleSegmenter
 from softcal.core.operation.method import DriftTracking
-from softcal.core.operation.observation import FOLLOWED, HELD, NOT_WATCHED, UNWATCHED, Observation
+from softcal.core.operation.observation import FOLLOWED, LEARNING_OPERATION, ON_HOLD, UNWATCHED, Observation
 from softcal.core.operation.stored_state import from_state
 from softcal.core.operation.stream_estimator import START, MapUpdate, StreamEstimator
 from softcal.core.operation.stream_windows import BatchWindows
@@ -151,10 +151,10 @@ class Adapter(StreamEstimator):
         observation = self._last = last or self._last
         verdict, reason = observation.verdict, observation.reason
         if self._hold_reason.reason and verdict == FOLLOWED:
-            verdict, reason = HELD, self._hold_reason.reason
+            verdict, reason = ON_HOLD, self._hold_reason.reason
         # Not even a cycle was seen: that must not read as if nothing had drifted.
         if verdict == START and self._is_watched and self._tracker.is_learning:
-            verdict, reason = UNWATCHED, NOT_WATCHED
+            verdict, reason = UNWATCHED, LEARNING_OPERATION
         now_s = self._current.t_s if last is None else last.t_s
         predicted, alarm = self._predicted_rmse(uncertainty.error_inflation), self._alarm() or self._tracker.alarm
         drift = _drift(observation)

@@ -17,7 +17,15 @@ from softcal.core.operation.attribution import movement
 from softcal.core.operation.cycles import Cycle, end_spread
 from softcal.core.operation.drift_filter import DriftFilter
 from softcal.core.operation.method import DriftTracking
-from softcal.core.operation.observation import HELD, JUMPED, PRELOAD_FELL, REST_MOVED, TRIED, USE_CHANGED, TrackerState
+from softcal.core.operation.observation import (
+    JUMPED,
+    ON_HOLD,
+    ON_TRIAL,
+    OPERATION_CHANGED,
+    PRELOAD_FELL,
+    REST_MOVED,
+    TrackerState,
+)
 from softcal.core.recording import Array
 
 
@@ -90,11 +98,11 @@ class ChangeDetector:
         now.unexplained_jump = float(np.hypot(*step))
         if len(now.jumps) < config.cycles:
             if self.try_rest(now, cycle, index):
-                return JumpReaction(TRIED, REST_MOVED)
-            return JumpReaction(HELD, f"a sudden change; {config.cycles} like cycles decide what it is")
+                return JumpReaction(ON_TRIAL, REST_MOVED)
+            return JumpReaction(ON_HOLD, f"a sudden change; {config.cycles} like cycles decide what it is")
         # Without a rest a jump of the sensor and one of the use are the same numbers.
         if not activity.has_rest:
-            return JumpReaction(HELD, "a sudden change of sensor or use, which no known rest can tell apart")
+            return JumpReaction(ON_HOLD, "a sudden change of sensor or use, which no known rest can tell apart")
         rest_step = now.attribution.sensor_step(activity, drift, step)
         crept = now.attribution.creep(activity.rest, float(step[1]))
         threshold = max(self._min_jump[0], config.sigmas * activity.rest_scatter)
@@ -105,12 +113,12 @@ class ChangeDetector:
                 now.rest_offset = max(now.rest_offset, math.sqrt(0.5) * abs(rest_step))
             if len(now.jumps) == max_cycles and self._learn(now, now.jumps):
                 now.jumps.clear()
-            return JumpReaction(HELD, USE_CHANGED if is_rest_fixed else PRELOAD_FELL)
+            return JumpReaction(ON_HOLD, OPERATION_CHANGED if is_rest_fixed else PRELOAD_FELL)
         before, after = drift[0], drift[0] + rest_step
         is_far = abs(rest_step) > config.max_jump[0] and abs(after) >= abs(before)
         if is_far or abs(after) > self._method.drift.max_drift[0]:
             now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
-            return JumpReaction(HELD, now.alarm)
+            return JumpReaction(ON_HOLD, now.alarm)
         return self._follow(now, index, level, rest_step)
 
     def _follow(self, now: TrackerState, index: int, level: Array, rest_step: float) -> JumpReaction:

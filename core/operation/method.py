@@ -11,7 +11,7 @@ from softcal.core.settings import NumberedMethod, setting
 HARM = "streams of benchmarks/long_use.py --seed 0, which docs do not report"
 """Origin of what was chosen on simulated streams; docs/long-term.md reports other seeds."""
 
-JOINED = "random presses of a simulated station: single ones differ too much, means over eight do not"
+RANDOM_PRESSES = "random presses of a simulated station: single ones differ too much, means over eight do not"
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class CycleConfig:
     memory: float = setting(0.2)
     overdue: float = setting(1.5)
     quantiles: int = setting(16)
-    joined: tuple[int, ...] = setting((8, 16, 32), JOINED)
+    joined: tuple[int, ...] = setting((8, 16, 32), RANDOM_PRESSES)
 
 
 @dataclass(frozen=True)

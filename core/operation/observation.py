@@ -11,14 +11,14 @@ from softcal.core.operation.drift_filter import DriftFilter
 from softcal.core.operation.stored_state import array_field
 from softcal.core.recording import Array
 
-FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped", "unwatched"
+FOLLOWED, ON_HOLD, ON_TRIAL, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped", "unwatched"
 REST_MOVED = "the rest moved at once; the next cycles decide what it is"
-USE_CHANGED = "the rest is where it was: the use changed, not the sensor"
+OPERATION_CHANGED = "the rest is where it was: the use changed, not the sensor"
 PRELOAD_FELL = "the rest came nearer to zero load: less preload, or a sensor that moved"
-USE_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
+OPERATION_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
 PRELOADED = "not watched: this use never comes to zero load; a preload that changes is taken for drift"
 QUEUE_DIFFERS = "not watched: queues of this length differ too much by chance to show a drift; a longer queue is needed"
-NOT_WATCHED = "not watched yet: the first use is still being learnt, and a drift before that is not seen"
+LEARNING_OPERATION = "not watched yet: the first use is still being learnt, and a drift before that is not seen"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from softcal.core.errors import InputError
 from softcal.core.metrics import rms
 from softcal.core.network.network import Network
 from softcal.core.operation.method import DriftTracking
-from softcal.core.operation.observation import FOLLOWED, HELD, UNWATCHED
+from softcal.core.operation.observation import FOLLOWED, ON_HOLD, UNWATCHED
 from softcal.core.operation.stored_state import from_state
 from softcal.core.operation.stream_windows import WRONG_RATE, BatchWindows, WindowBuffer
 from softcal.core.recording import Array, Mask, OutputRecording
@@ -38,7 +38,7 @@ FLAG_SEPARATOR = "; "
 """Between the words of a flag: why a row is not to be trusted, and the state of its map."""
 
 FLAGS_TYPE = "<U24"
-STATES = (UNWATCHED, HELD, FOLLOWED)
+STATES = (UNWATCHED, ON_HOLD, FOLLOWED)
 """The state of the map, in the flag of every row of a stream that is followed."""
 
 MAX_UPDATES = 4096
@@ -73,7 +73,7 @@ class MapUpdate:
 
 def state_of_map(verdict: str) -> str:
     """Return the state of the map that a verdict leaves."""
-    return {START: UNWATCHED, UNWATCHED: UNWATCHED, HELD: HELD}.get(verdict, FOLLOWED)
+    return {START: UNWATCHED, UNWATCHED: UNWATCHED, ON_HOLD: ON_HOLD}.get(verdict, FOLLOWED)
 
 
 class StreamEstimator(ABC):

@@ -28,13 +28,13 @@ from softcal.core.operation.drift_filter import DriftFilter
 from softcal.core.operation.method import DriftTracking
 from softcal.core.operation.observation import (
     FOLLOWED,
-    HELD,
-    NOT_WATCHED,
+    LEARNING_OPERATION,
+    ON_HOLD,
+    ON_TRIAL,
+    OPERATION_OR_GAIN,
     PRELOADED,
     REST_MOVED,
-    TRIED,
     UNWATCHED,
-    USE_OR_GAIN,
     Observation,
     TrackerState,
 )
@@ -129,7 +129,7 @@ class DriftTracker:
         return self._compare(standard, (fitting or candidates)[0], walked)
 
     def start(self) -> Observation:
-        return self._observation(0.0, HELD, "", -1)
+        return self._observation(0.0, ON_HOLD, "", -1)
 
     def reconnect(self) -> None:
         """Allow for what may have happened in an interruption of unknown length."""
@@ -199,7 +199,7 @@ class DriftTracker:
         activity = now.activities[index]
         if self._detector.is_jump(now, cycle, index) or self._detector.is_like_last_jumps(now, cycle, index):
             reaction = self._detector.classify_jump(now, cycle, index)
-            if reaction.verdict == HELD:
+            if reaction.verdict == ON_HOLD:
                 return self._hold(cycle, reaction.reason, index)
             if reaction.filter is not None:
                 self._accept(reaction.filter, index)
@@ -227,7 +227,7 @@ class DriftTracker:
         self._accept(measured, index)
         now.jumps = jumps
         if now.attribution.is_operation_as_likely(now.filter.drift, now.covariance, now.applied_drift):
-            return self._observation(cycle.end_s, HELD, USE_OR_GAIN, index)
+            return self._observation(cycle.end_s, ON_HOLD, OPERATION_OR_GAIN, index)
         is_preload = now.attribution.may_be_preload and np.any(now.applied_drift)
         return self._observation(cycle.end_s, FOLLOWED, PRELOADED if is_preload else "", index)
 
@@ -280,7 +280,7 @@ class DriftTracker:
         if followed_recognised and self._detector.is_like_but_for_shape(now, cycle, now.latest):
             if self._detector.try_rest(now, cycle, now.latest):
                 now.unexplained_jump = abs(now.trial_shift)
-                return self._observation(cycle.end_s, TRIED, REST_MOVED, -1)
+                return self._observation(cycle.end_s, ON_TRIAL, REST_MOVED, -1)
         if not self._detector.learn_from(now, cycle):
             return self._hold(cycle, "the use is none of those known")
         learnt = self._hold(cycle, "a new use was learnt from the estimates so far", len(now.activities) - 1)
@@ -292,8 +292,8 @@ class DriftTracker:
     def _hold(self, cycle: Cycle, reason: str, index: int = -1) -> Observation:
         self._now.unobserved_s += cycle.duration_s
         if self._is_learning(cycle.end_s):
-            return self._observation(cycle.end_s, UNWATCHED, NOT_WATCHED, index)
-        return self._observation(cycle.end_s, HELD, reason, index)
+            return self._observation(cycle.end_s, UNWATCHED, LEARNING_OPERATION, index)
+        return self._observation(cycle.end_s, ON_HOLD, reason, index)
 
     def _observation(self, t_s: float, verdict: str, reason: str, index: int) -> Observation:
         shift, log_gain = self._now.filter.drift.tolist()

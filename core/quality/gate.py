@@ -127,7 +127,7 @@ def may_run(status: StationStatus, kind: OrderKind = OrderKind.UNIT) -> Gate:
 
 
 def quarantined_units(
-    pressed: Sequence[tuple[str, datetime]], checks: Sequence[GoldenCheck], now: datetime
+    presses: Sequence[tuple[str, datetime]], checks: Sequence[GoldenCheck], now: datetime
 ) -> tuple[str, ...]:
     """Return the names of the units pressed since the last good check, once a check has failed (ISO/IEC 17025, 6.4.9).
 
@@ -141,7 +141,7 @@ def quarantined_units(
     # Between the last good and the first bad check nobody knows when the station went wrong: all of them are suspect.
     good = [check.at for check in relevant if check.is_in_control]
     since = good[-1] if good else datetime.min.replace(tzinfo=now.tzinfo)
-    return tuple(serial for serial, at in sorted(pressed, key=lambda unit: unit[1]) if since < at)
+    return tuple(serial for serial, at in sorted(presses, key=lambda unit: unit[1]) if since < at)
 
 
 def _certificate(status: StationStatus) -> list[Condition]:
@@ -152,10 +152,13 @@ def _certificate(status: StationStatus) -> list[Condition]:
     is_valid = status.now.date() <= certificate.valid_until
     code = "gate.valid" if is_valid else "gate.ended"
     in_date = Condition(name, is_valid, reason(code, number=certificate.number, day=str(certificate.valid_until)))
-    reaches = reason("gate.reaches", force_N=status.largest_force_N, most_N=certificate.capacity_N)
+    capacity_reason = reason("gate.reaches", force_N=status.largest_force_N, most_N=certificate.capacity_N)
     if status.largest_force_N > certificate.capacity_N:
-        return [in_date, Condition(Reason("gate.name.force_range"), False, reason("gate.too_far", reaches=reaches))]
-    return [in_date, Condition(Reason("gate.name.force_range"), True, reaches)]
+        return [
+            in_date,
+            Condition(Reason("gate.name.force_range"), False, reason("gate.too_far", reaches=capacity_reason)),
+        ]
+    return [in_date, Condition(Reason("gate.name.force_range"), True, capacity_reason)]
 
 
 def _warm_up(status: StationStatus) -> Condition:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
-from softcal.core.messages.reason import DOUBT, Reason
+from softcal.core.messages.reason import SUSPECT_AUDIT, Reason
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Limit
 
@@ -59,7 +59,7 @@ class UnitInLot:
     @property
     def suspect_reason(self) -> Reason | None:
         """Why its audit is set aside; None where it is not."""
-        return next((reason for reason in self.reasons if reason.code.startswith(DOUBT)), None)
+        return next((reason for reason in self.reasons if reason.code.startswith(SUSPECT_AUDIT)), None)
 
 
 @dataclass(frozen=True)

@@ -282,7 +282,7 @@ Quantity: TypeAlias = Callable[[Flow, Sequence[float], Memory], Array | float]
 """Compute something from the flow, the parameter values and the memory of an effect."""
 
 
-def sets(signal: str, value: Quantity) -> Step:
+def set_signal(signal: str, value: Quantity) -> Step:
     """Return a step that gives one signal of the flow, by its name there, a new value."""
 
     def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
@@ -293,12 +293,12 @@ def sets(signal: str, value: Quantity) -> Step:
 
 def adds(signal: str, part: Quantity) -> Step:
     """Return a step that adds the size of the effect times a part: x + v₀·part."""
-    return sets(signal, lambda flow, v, state: getattr(flow, signal) + v[0] * part(flow, v, state))
+    return set_signal(signal, lambda flow, v, state: getattr(flow, signal) + v[0] * part(flow, v, state))
 
 
 def grows(signal: str, part: Quantity) -> Step:
     """Return a step by which a signal grows: x·(1 + v₀·part)."""
-    return sets(signal, lambda flow, v, state: getattr(flow, signal) * (1.0 + v[0] * part(flow, v, state)))
+    return set_signal(signal, lambda flow, v, state: getattr(flow, signal) * (1.0 + v[0] * part(flow, v, state)))
 
 
 def hands_on(*names: str) -> Step:

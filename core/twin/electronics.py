@@ -26,7 +26,7 @@ from softcal.core.twin.effects import (
     grows,
     hands_on,
     memory,
-    sets,
+    set_signal,
 )
 from softcal.core.twin.forms import constant, drift_forms, extended_form
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -147,7 +147,7 @@ CLIPPED_BELOW = in_stage(
     equation="V clipped below V_min > 0",
     source="range of an amplifier or an ADC that does not reach zero",
     parameters=(Parameter("V_min", "V", 0.0, 100.0, 0.5, neutral=0.0),),
-    step=sets("output_V", lambda flow, v, state: np.maximum(flow.output_V, v[0])),
+    step=set_signal("output_V", lambda flow, v, state: np.maximum(flow.output_V, v[0])),
     signs=Signs(search_target=SearchTarget.FLOOR),
 )
 """The other side of a clipped output; a setting that gives `V_min` means this one."""
@@ -159,7 +159,7 @@ ADC_SATURATION = in_stage(
     source="range of an amplifier or an ADC short of the rail",
     parameters=(Parameter("V_max", "V", 0.05, 100.0, 2.2, neutral=np.inf),),
     # A hard ceiling here, a soft one among the forms: amplifiers differ in how they clip.
-    step=sets("output_V", lambda flow, v, state: np.minimum(flow.output_V, v[0])),
+    step=set_signal("output_V", lambda flow, v, state: np.minimum(flow.output_V, v[0])),
     signs=Signs(
         probes=_near_the_top,
         search_target=SearchTarget.CEILING,
@@ -169,7 +169,7 @@ ADC_SATURATION = in_stage(
     sides=(CLIPPED_BELOW,),
 ).with_forms(
     extended_form(
-        sets("output_V", lambda flow, v, state: v[0] - v[1] * np.logaddexp(0.0, (v[0] - flow.output_V) / v[1])),
+        set_signal("output_V", lambda flow, v, state: v[0] - v[1] * np.logaddexp(0.0, (v[0] - flow.output_V) / v[1])),
         "soft clip",
         (Parameter("width", "V", 1e-4, 0.5, 0.01), 0.01),
     )
@@ -182,7 +182,7 @@ EFFECTS = (
         equation="V passes a first-order low-pass before the ADC",
         source="RC filter of the divider's input; 1–300 ms",
         parameters=(Parameter("tau", "s", 0.0005, 3.0, 0.08, neutral=0.0),),
-        step=sets("output_V", lambda flow, v, state: _lag(flow, state, "low_pass_V", v[0])),
+        step=set_signal("output_V", lambda flow, v, state: _lag(flow, state, "low_pass_V", v[0])),
         signs=Signs(
             probes=Sizes((0.5, 3.0, 10.0), "period_s"),
             confounders=("channel_creep", "clock_offset"),
@@ -191,7 +191,7 @@ EFFECTS = (
     ).with_forms(
         extended_form(_lag_2, "second order", (Parameter("tau2", "s", 0.0, 3.0, 0.05), 0.02)),
         extended_form(
-            sets("output_V", _lag_sampled),
+            set_signal("output_V", _lag_sampled),
             "computed sample by sample",
             (Parameter("late", "", -0.6, 1.1, 0.5), 0.0),
             constants=("period_s",),

@@ -19,7 +19,7 @@ from softcal.core.twin.signals import direction_state, low_pass, play
 STOPS = (0.03, 0.1, 0.25, 0.6)
 """Strokes of the stop operators of a Prandtl–Ishlinskii loop, as shares of the largest input."""
 
-SPLIT = 4.0
+SPLIT_FACTOR = 4.0
 """Two time constants or loop widths begin this factor above and below the one that was fitted."""
 
 POWER = Parameter("power", "", 0.15, 3.0, 0.3)
@@ -60,7 +60,7 @@ def doubled_form(equation: str) -> Maker:
         size, shape = effect.parameters
         second = (replace(size, name=f"{size.name}2"), replace(shape, name=f"{shape.name}2"))
         # One faster and one slower: both alike would be a saddle that descent never leaves.
-        carry = ((0, 0.5), (1, 1 / SPLIT), (0, 0.5), (1, SPLIT))
+        carry = ((0, 0.5), (1, 1 / SPLIT_FACTOR), (0, 0.5), (1, SPLIT_FACTOR))
         return custom_form(effect.step, equation, (size, shape, *second), carry)(effect)
 
     return make

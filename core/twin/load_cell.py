@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, adds, grows, sets
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, adds, grows, set_signal
 from softcal.core.twin.forms import doubled_form, drift_forms, extended_form, low_passes
-from softcal.core.twin.probes import Shapes, Sizes, Times
+from softcal.core.twin.probes import Shapes, Sizes, TimeConstants
 
 SPAN = Parameter("F_max", "N", 10.0, 10.0, 10.0, weight=0.0, is_fixed=True)
 """Capacity of the cell of the common rig; it grows with the rig and is not fitted: another one is a
@@ -38,13 +38,15 @@ EFFECTS = (
         equation="F_meas = F_sat·tanh(F/F_sat)",
         source="cell or amplifier near its capacity",
         parameters=(Parameter("F_sat", "N", 0.5, 1000.0, 15.0, neutral=np.inf, scale="inverse_square"),),
-        step=sets("reading_N", _tanh),
+        step=set_signal("reading_N", _tanh),
         signs=Signs(
             probes=Sizes((4.0,), "force_N"),
             confounders=("loadcell_nonlinearity", "channel_collapse", "frame_compliance"),
             best_experiments=("dead_weights",),
         ),
-    ).with_forms(extended_form(sets("reading_N", _knee), "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))),
+    ).with_forms(
+        extended_form(set_signal("reading_N", _knee), "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))
+    ),
     in_stage(
         id="loadcell_nonlinearity",
         equation="F_meas = F + λ·F·(1 − F/F_max)",
@@ -59,7 +61,7 @@ EFFECTS = (
         ),
     ).with_forms(
         extended_form(
-            sets("reading_N", _curve),
+            set_signal("reading_N", _curve),
             "cubic and quartic term",
             (Parameter("quadratic", "", -0.5, 0.5, 0.01), 0.0),
             (Parameter("cubic", "", -0.5, 0.5, 0.01), 0.0),
@@ -73,11 +75,11 @@ EFFECTS = (
             Parameter("k", "", 0.0, 0.2, 0.02, neutral=0.0),
             Parameter("tau", "s", 0.3, 1000.0, 20.0, scale="log"),
         ),
-        step=sets(
+        step=set_signal(
             "reading_N", lambda flow, v, state: flow.reading_N + low_passes(flow.reading_N, flow.step_s, v, state)
         ),
         signs=Signs(
-            probes=Times(0.01, without=2),
+            probes=TimeConstants(0.01, without=2),
             confounders=("loadcell_drift", "stress_relaxation"),
             best_experiments=("dead_weights", "long_hold"),
         ),

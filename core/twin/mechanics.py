@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, grows, hands_on, memory, sets
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, grows, hands_on, memory, set_signal
 from softcal.core.twin.forms import (
     POWER,
     STOPS,
@@ -25,7 +25,7 @@ from softcal.core.twin.forms import (
     stops,
 )
 from softcal.core.twin.parameters import BaseParameters
-from softcal.core.twin.probes import Shapes, Sizes, Times
+from softcal.core.twin.probes import Shapes, Sizes, TimeConstants
 from softcal.core.twin.signals import compiled, completed_presses, largest_so_far, play
 
 PLATEN = Reason("gap.remedy.platen")
@@ -132,7 +132,9 @@ EFFECTS = (
         equation="the pad follows u through a play operator of width b",
         source="play operator, Brokate and Sprekels 1996; 5–20 µm for ball screws, 20–150 µm for lead screws",
         parameters=(Parameter("b", "mm", 0.0, 1.0, 0.05, neutral=0.0),),
-        step=sets("pad_mm", lambda flow, v, state: play(flow.pad_mm, v[0], memory(state, "y", flow.pad_mm[0] - v[0]))),
+        step=set_signal(
+            "pad_mm", lambda flow, v, state: play(flow.pad_mm, v[0], memory(state, "y", flow.pad_mm[0] - v[0]))
+        ),
         signs=Signs(
             probes=Sizes((0.007, 0.035), "depth_mm"),
             confounders=("loadcell_creep", "mechanical_hysteresis"),
@@ -149,7 +151,7 @@ EFFECTS = (
             Parameter("s", "mm", -0.5, 0.5, 0.08, neutral=0.0),
             Parameter("tau", "s", 2.0, 1000.0, 40.0, scale="log"),
         ),
-        step=sets("contact_mm", _settled),
+        step=set_signal("contact_mm", _settled),
         signs=Signs(
             probes=Shapes(0.007, (0.05, 0.15, 0.5, 1.5), "duration_s", "depth_mm"),
             confounders=("mullins_softening", "stress_relaxation"),
@@ -203,12 +205,12 @@ EFFECTS = (
             Parameter("g", "", 0.0, 0.8, 0.1, neutral=0.0),
             Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
         ),
-        step=sets(
+        step=set_signal(
             "force_N",
             lambda flow, v, state: np.maximum(0.0, flow.force_N - low_passes(flow.force_N, flow.step_s, v, state)),
         ),
         signs=Signs(
-            probes=Times(0.02),
+            probes=TimeConstants(0.02),
             confounders=("mechanical_hysteresis", "loadcell_creep"),
             best_experiments=("steps_with_holds", "rate_sweep", "long_hold"),
         ),
@@ -222,7 +224,7 @@ EFFECTS = (
             Parameter("a", "", 0.0, 0.5, 0.05, neutral=0.0),
             Parameter("d0", "mm", 0.02, 5.0, 0.3, scale="log"),
         ),
-        step=sets("force_N", lambda flow, v, state: flow.force_N * loops(flow.deformation_mm, v, state)),
+        step=set_signal("force_N", lambda flow, v, state: flow.force_N * loops(flow.deformation_mm, v, state)),
         signs=Signs(
             probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "depth_mm"),
             confounders=("stress_relaxation", "backlash"),
@@ -230,8 +232,10 @@ EFFECTS = (
         ),
     ).with_forms(
         doubled_form("two loops"),
-        stop_form(sets("force_N", _force_stops), "stop operators on the force", "reach_N"),
-        stop_form(sets("force_N", _stroke_stops), "stop operators on the compression", "reach_mm", "stiffness_N_mm"),
+        stop_form(set_signal("force_N", _force_stops), "stop operators on the force", "reach_N"),
+        stop_form(
+            set_signal("force_N", _stroke_stops), "stop operators on the compression", "reach_mm", "stiffness_N_mm"
+        ),
     ),
     in_stage(
         id="mullins_softening",

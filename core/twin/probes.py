@@ -77,7 +77,7 @@ class Shapes:
 
 
 @dataclass(frozen=True)
-class Times:
+class TimeConstants:
     """Starting points: one small size and every time constant that a run excites, without the shortest ones."""
 
     size: float

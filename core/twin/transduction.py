@@ -18,10 +18,10 @@ from softcal.core.twin.effects import (
     Signs,
     grows,
     memory,
-    sets,
+    set_signal,
 )
 from softcal.core.twin.forms import doubled_form, extended_form, loops, low_passes, stop_form, stops
-from softcal.core.twin.probes import Shapes, Sizes, Times
+from softcal.core.twin.probes import Shapes, Sizes, TimeConstants
 from softcal.core.twin.signals import compiled, low_pass
 
 COLLAPSED = 0.02
@@ -96,9 +96,9 @@ EFFECTS = (
             Parameter("c", "", 0.0, 1.0, 0.08, neutral=0.0),
             Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
         ),
-        step=sets("drive", _creep),
+        step=set_signal("drive", _creep),
         signs=Signs(
-            probes=Times(0.02),
+            probes=TimeConstants(0.02),
             confounders=("readout_lag", "clock_offset"),
             best_experiments=("rate_sweep", "steps_with_holds"),
         ),
@@ -112,7 +112,7 @@ EFFECTS = (
             Parameter("a", "", 0.0, 0.5, 0.04, neutral=0.0),
             Parameter("f0", "N", 0.05, 20.0, 1.0, scale="log"),
         ),
-        step=sets("drive", lambda flow, v, state: flow.drive * loops(flow.drive, v, state)),
+        step=set_signal("drive", lambda flow, v, state: flow.drive * loops(flow.drive, v, state)),
         signs=Signs(
             probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "force_N"),
             confounders=("clock_offset", "channel_creep"),
@@ -121,7 +121,7 @@ EFFECTS = (
     ).with_forms(
         doubled_form("two loops"),
         stop_form(
-            sets("drive", lambda flow, v, state: flow.drive + stops(flow.drive, v, state, "reach_N")),
+            set_signal("drive", lambda flow, v, state: flow.drive + stops(flow.drive, v, state, "reach_N")),
             "stop operators on the force",
             "reach_N",
         ),

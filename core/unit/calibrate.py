@@ -62,10 +62,10 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
     lot_map = problem.lot_map
     chosen = choose_map(fit) if lot_map is None else lot_map.chosen
     # How a unit was pressed is read across a few lost samples; no fit sees what stands for them.
-    pressed = target.bridged
+    target_recording = target.bridged
     evidence = gather_evidence(
         model,
-        pressed,
+        target_recording,
         chosen.unit_map,
         limits,
         other_maps(fit, chosen, method, reference_rmse=0.0 if correction is None else correction.reference_rmse),
@@ -80,7 +80,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
     if all(finding.best.is_open for finding in findings):
         findings += contradictions(source_recording, target, limits, method, fit.synchrony) or (
             *health_findings(target, source_recording, limits, method),
-            *map_findings(model, pressed, evidence, lag),
+            *map_findings(model, target_recording, evidence, lag),
             *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
         )
     rest = method.map.crossing.robust_range[0]

@@ -65,9 +65,9 @@ def rail(recording: OutputRecording, is_upper: bool, method: Method) -> Rail:
     band = noise_band(recording, method)
     top, span = float(rising.max()), float(np.ptp(rising))
     in_band, next_band = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
-    pressed = rising >= top - max(config.near_end * span, 2 * band)
+    is_pressed = rising >= top - max(config.near_end * span, 2 * band)
     # Number 0 is what the recording begins with: nobody saw that press rise.
-    press = np.cumsum(np.concatenate([[False], pressed[1:] & ~pressed[:-1]]))
+    press = np.cumsum(np.concatenate([[False], is_pressed[1:] & ~is_pressed[:-1]]))
     is_flat_run = in_band & (run_lengths(in_band.astype(np.float64)) == config.rail_run)
     ran = np.bincount(press[is_flat_run], minlength=press[-1] + 1)
     inside, next_inside = (np.bincount(press[rows], minlength=press[-1] + 1) for rows in (in_band, next_band))

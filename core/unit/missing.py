@@ -148,7 +148,9 @@ def _observed(recording: OutputRecording, missing: MissingSamples) -> list[Reaso
     masked, observed = recording.masked, list[tuple[float, Reason]]()
     for kind, count in missing.masked.items():
         times = {"times": _times_the_range(recording, masked)} if kind == "overflow" else {}
-        observed.append((count, reason(MASKED[kind], count=count, first=_first(masked.of_kind(kind)), **times)))
+        observed.append(
+            (count, reason(MASKED[kind], count=count, first=_describe_first(masked.of_kind(kind)), **times))
+        )
     if gaps := missing.gaps:
         rows = sum(gap.amount for gap in gaps)
         longest = max(gaps, key=lambda gap: gap.value)
@@ -164,7 +166,7 @@ def _observed(recording: OutputRecording, missing: MissingSamples) -> list[Reaso
     return [one for _, one in sorted(observed, key=lambda pair: -pair[0])]
 
 
-def _first(masked: MaskedSamples) -> Reason:
+def _describe_first(masked: MaskedSamples) -> Reason:
     """Return where the first masked sample stands, and its value."""
     line, at, value = int(masked.lines[0]), float(masked.t_s[0]), float(masked.values[0])
     location = reason("part.at_line", number=line, at=at) if line else reason("part.at_time", at=at)

@@ -121,14 +121,14 @@ def state_from_json(fit: Fit, content: Mapping[str, Any]) -> UnitState:
     return UnitState(fit=fit, **{name: msgspec.convert(value, kinds[name]) for name, value in content.items()})
 
 
-def _fitted(family: str, written: Mapping[str, Any], arrays: Arrays) -> FittedMap:
+def _fitted(family: str, content: Mapping[str, Any], arrays: Arrays) -> FittedMap:
     # The families bring solvers that take seconds to import; a registry that lists units needs none of them.
     from softcal.core.maps.catalogue import map_from_arrays
 
-    limits = written["output_limits"]
+    limits = content["output_limits"]
     return FittedMap(
-        map_from_arrays(family, _group(arrays, "map."), written["map"]),
-        Interval.from_arrays(_group(arrays, "interval."), written["interval"]),
+        map_from_arrays(family, _group(arrays, "map."), content["map"]),
+        Interval.from_arrays(_group(arrays, "interval."), content["interval"]),
         OutputLimits(
             rail_low=-np.inf if limits["rail_low"] is None else float(limits["rail_low"]),
             rail_high=np.inf if limits["rail_high"] is None else float(limits["rail_high"]),

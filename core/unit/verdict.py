@@ -240,21 +240,23 @@ def compare_with_limit(
 
     Nothing passes by a limit that nobody stated.
     """
-    relation, stated = _STATED[statement(error, limit)]
+    relation, stated_verdict = _STATED[statement(error, limit)]
     ordered = sorted(findings, key=lambda finding: -finding.best.severity)
     reasons, bounds = [finding.reason for finding in ordered], [finding.best for finding in findings]
     numbers: dict[str, Value] = {"source": Reason(f"part.{source}"), **vars(error), "unit": limit.unit}
-    if not limit.is_stated and stated is not Verdict.FAIL:
+    if not limit.is_stated and stated_verdict is not Verdict.FAIL:
         limit_reason = reason("no_limit", share=error.rmse / (limit.full_range or np.nan), **numbers)
         return Assessment(worst_of([Verdict.CONDITIONAL, *bounds]), (*reasons, limit_reason))
     numbers |= {"relation": Reason(relation), "limit": limit.maximum_rmse, "origin": limit.origin}
-    limit_reason, verdict = reason("statement", **numbers), worst_of([stated, *bounds])
+    limit_reason, verdict = reason("statement", **numbers), worst_of([stated_verdict, *bounds])
     # An error beyond the limit is the first thing to say; else what was found is.
     if limit.acceptance_rmse < error.upper <= limit.maximum_rmse:
         reasons.append(reason("reference_uncertain", expanded=limit.reference_expanded or 0.0, unit=limit.unit))
     return Assessment(
         verdict,
-        (limit_reason, *reasons) if stated is Verdict.FAIL and verdict is Verdict.FAIL else (*reasons, limit_reason),
+        (limit_reason, *reasons)
+        if stated_verdict is Verdict.FAIL and verdict is Verdict.FAIL
+        else (*reasons, limit_reason),
     )
 
 

@@ -137,7 +137,7 @@ class People(RegistryBase):
         now, query = self.settings.clock(), select(users).where(users.c.name == name)
         row = self.database.row(query)
         in_memory = _memory_key(row, name, machine)
-        failures, until = self._tries.of(in_memory)
+        failures, until = self._tries.read(in_memory)
         if row is not None and not in_memory:
             failures, until = row["failures"], row["locked_until"]
         if not has_passed(until, now, MAX_PAUSE):

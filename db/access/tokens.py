@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 from softcal.db.access.people import user_of
 from softcal.db.entries import Token, User
 from softcal.db.repositories import history
-from softcal.db.repositories.registry_base import RegistryBase, damage_error, of_row
+from softcal.db.repositories.registry_base import RegistryBase, damage_error, entry_from_row
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.tables import audit, tokens, users
 
@@ -50,7 +50,7 @@ class TokenTable(RegistryBase):
             self.database.change(insert(tokens).values(**values))
             row = self._row(values["token_id"])
             self._write_audit_row("add", "tokens", (row["token_id"],), actor, after=token_in_trail(row))
-        return of_row(Token, row), secret
+        return entry_from_row(Token, row), secret
 
     def withdraw(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
         """Withdraw a token; raise `InputError` if it does not exist or is withdrawn already."""
@@ -65,7 +65,7 @@ class TokenTable(RegistryBase):
     def all(self) -> list[Token]:
         """Return all tokens, the oldest first, without their secrets."""
         query = select(tokens).order_by(tokens.c.created, tokens.c.token_id)
-        return [of_row(Token, row) for row in self.database.rows(query)]
+        return [entry_from_row(Token, row) for row in self.database.rows(query)]
 
     def user_of(self, secret: str) -> User:
         """Return the account of a token, with its present role.

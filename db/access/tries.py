@@ -30,7 +30,7 @@ class Tries:
     def __init__(self) -> None:
         self._failures: dict[str, tuple[int, datetime | None]] = {}
 
-    def of(self, key: str) -> tuple[int, datetime | None]:
+    def read(self, key: str) -> tuple[int, datetime | None]:
         """Return how many tries were wrong, and until when the next one waits."""
         return self._failures.get(key, (0, None))
 

@@ -112,7 +112,7 @@ class JobBoard(RegistryBase):
         values = {"fraction": fraction, "message": message} | ({} if trace is None else {"trace": dict(trace)})
         self._change(job_id, values)
 
-    def beat(self, job_id: str) -> bool:
+    def write_heartbeat(self, job_id: str) -> bool:
         """Write a heartbeat, and return whether a stop was requested."""
         self._change(job_id, {})
         return bool(self.database.value(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)))

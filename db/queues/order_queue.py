@@ -34,7 +34,7 @@ RUNS = tuple(kind for kind in OrderKind if kind.is_run)
 o = orders.c
 
 
-class Pressed(NamedTuple):
+class UnitPress(NamedTuple):
     """One press of a unit at the line: station, actor, start and end (UTC)."""
 
     serial: str
@@ -110,11 +110,11 @@ class OrderQueue(RegistryBase):
         rows = self.database.rows(query.limit(count).offset(before))
         return [(_order(row), _progress(row, Signal())) for row in rows]
 
-    def pressed(self, lot_id: str) -> list[Pressed]:
+    def list_presses(self, lot_id: str) -> list[UnitPress]:
         """Return the presses of the units of a lot in time order, without aborted runs."""
         query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
         ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
-        return [Pressed(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]
+        return [UnitPress(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]
 
     def active(self, station: str) -> tuple[Order, Progress] | None:
         """Return the run that occupies a station, or None."""
@@ -144,7 +144,7 @@ class OrderQueue(RegistryBase):
             self._set(order_ids, state=RunState.CANCELLED, code="E-STOPPED", message=pack_reasons([message]))
         return order_ids
 
-    def beat(self, heartbeat: Heartbeat, after: timedelta = TAKEOVER_AFTER) -> None:
+    def write_heartbeat(self, heartbeat: Heartbeat, after: timedelta = TAKEOVER_AFTER) -> None:
         """Write a station's heartbeat and state, if the heartbeat of another owner is older than `after`.
 
         `InputError`: another process serves this station; ports have one owner.
@@ -188,7 +188,7 @@ class OrderQueue(RegistryBase):
         return Signal(**{name: tuple(signal[name]) for name in SIGNAL_FIELDS}, output_unit=signal["output_unit"])
 
 
-class LinePlaces(RegistryBase):
+class LineSessions(RegistryBase):
     """State of each line between its runs, one row a station, shared by all screens.
 
     A change names the version it was decided on: of two screens the second must read again.

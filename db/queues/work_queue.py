@@ -120,7 +120,7 @@ class WorkQueue(RegistryBase):
                 self.database.change(rows.values(lease_until=now + timedelta(seconds=lease_s), changed_at=now))
         return len(ids)
 
-    def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
+    def lock_leased(self, owner: str, item_ids: Iterable[int]) -> set[int]:
         """Return the items of an owner, which no other process can take before the transaction ends."""
         c = work_items.c
         query = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")

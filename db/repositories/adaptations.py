@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Select, Text, func, select, type_coerce
 
 from softcal.core.errors import NoSuchRevision
 from softcal.core.lot import UnitKey
-from softcal.db.repositories.registry_base import RegistryBase, of_row
+from softcal.db.repositories.registry_base import RegistryBase, entry_from_row
 from softcal.db.schema.database import equality_conditions
 from softcal.db.schema.tables import adaptations, calibrations
 
@@ -87,7 +87,7 @@ class AdaptationTables(RegistryBase):
         newest = (
             select(ranked).where(ranked.c.rank == 1).order_by(ranked.c.made_at.desc(), ranked.c.serial, ranked.c.lot_id)
         )
-        return [of_row(AdaptedUnit, row) for row in self.database.rows(newest)]
+        return [entry_from_row(AdaptedUnit, row) for row in self.database.rows(newest)]
 
     def streams(self, unit: UnitKey) -> list[str]:
         """Return the streams a unit was followed on, the newest first."""

@@ -16,7 +16,7 @@ from softcal.db.provenance import software_now
 from softcal.db.repositories import history
 from softcal.db.repositories.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit, rows_of
 from softcal.db.repositories.lot_pages import units_with_status
-from softcal.db.repositories.registry_base import damage_error, of_row
+from softcal.db.repositories.registry_base import damage_error, entry_from_row
 from softcal.db.repositories.unit_states import FIT_SHA256, read_parts, state_of
 from softcal.db.schema.arrays import put_arrays
 from softcal.db.schema.column_types import canonical_json
@@ -303,8 +303,8 @@ class CalibrationTables(InUseTable):
             self._lot_row(lot_id)
             self._add_unit(lot_id, serial, "target", actor)
             ((unit, _),) = units_with_status(self.database, lot_id, [serial])
-            answered = self.decided_works(lot_id, [serial]).get(serial)
-            if (unit.verdict, unit.reasons, answered) == (verdict, reasons, work_sha256):
+            decided_work = self.decided_works(lot_id, [serial]).get(serial)
+            if (unit.verdict, unit.reasons, decided_work) == (verdict, reasons, work_sha256):
                 return
             made_at = self._after(newest_of_unit(self.database, lot_id, serial))
             values = {"lot_id": lot_id, "serial": serial, "made_at": made_at, "origin": self.origin}
@@ -371,6 +371,6 @@ class CalibrationTables(InUseTable):
         heads_in_use = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
         is_head = (row["revision"], row["origin"]) in heads_in_use
         flags = {"is_current": is_head and not is_conflict, "is_conflict": is_head and is_conflict}
-        return of_row(
+        return entry_from_row(
             StoredCalibration, row, state=state_of(self.database, row, read_parts(self.database, [row])), **flags
         )

@@ -16,7 +16,7 @@ from softcal.core.errors import MapsConflict
 from softcal.core.messages.reason import Reason, reason
 from softcal.db.entries import LimitEntry
 from softcal.db.repositories import history
-from softcal.db.repositories.registry_base import RegistryBase, damage_error, of_row
+from softcal.db.repositories.registry_base import RegistryBase, damage_error, entry_from_row
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database, equality_conditions, parts
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, methods, refusals
@@ -34,7 +34,7 @@ STALE = (LIMIT_IS_OTHER, LIMIT_IS_WITHDRAWN) = ("stale_limit", "stale_limit_open
 """Codes of the reasons why a verdict does not stand any more."""
 
 
-ROWS = {
+ROW_QUERIES = {
     in_use: select(in_use).where(in_use.c.lot_id == bindparam("lot")).order_by(*NEWEST_STATEMENT),
     refusals: select(refusals.c.serial, refusals.c.made_at)
     .where(refusals.c.lot_id == bindparam("lot"))
@@ -51,7 +51,7 @@ LIMIT_IN_FORCE = (
     .order_by(limits.c.made_at.desc(), limits.c.origin.desc())
     .limit(1)
 )
-ROWS_OF_UNIT = {table: query.where(table.c.serial == bindparam("unit")) for table, query in ROWS.items()}
+ROWS_OF_UNIT = {table: query.where(table.c.serial == bindparam("unit")) for table, query in ROW_QUERIES.items()}
 """Built once, for every unit of a batch: to build a statement takes longer than to run it."""
 
 
@@ -127,7 +127,7 @@ class InUseTable(RegistryBase):
     def read_ahead(self, lot_id: str, serials: Sequence[str]) -> None:
         """Read at once what puts calibrations of units of a lot into use, for the rest of a write transaction."""
         for part in parts(serials):
-            for table, query in ROWS.items():
+            for table, query in ROW_QUERIES.items():
                 rows: dict[str, list[RowMapping]] = {serial: [] for serial in part}
                 for row in self.database.rows(query.where(table.c.serial.in_(part)), {"lot": lot_id}):
                     rows[row["serial"]].append(row)
@@ -264,7 +264,7 @@ def newest_limit(database: Database, lot_id: str) -> LimitEntry | None:
     """Return the newest version of a lot's limit, or None where none was ever stated."""
     of_lot = select(limits).where(limits.c.lot_id == lot_id)
     row = database.row(of_lot.order_by(limits.c.made_at.desc(), limits.c.origin.desc()).limit(1))
-    return None if row is None else of_row(LimitEntry, row)
+    return None if row is None else entry_from_row(LimitEntry, row)
 
 
 def limit_in_force(database: Database, lot_id: str) -> LimitInForce:

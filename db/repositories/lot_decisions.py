@@ -7,7 +7,7 @@ from sqlalchemy import func, select
 
 from softcal.db.entries import LotDecisionEntry
 from softcal.db.provenance import software_now
-from softcal.db.repositories.registry_base import RegistryBase, of_row
+from softcal.db.repositories.registry_base import RegistryBase, entry_from_row
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import lot_decisions
@@ -39,13 +39,13 @@ class LotDecisionTable(RegistryBase):
         if row is None:
             return None
         self._check_row(lot_decisions, row)
-        return of_row(LotDecisionEntry, row)
+        return entry_from_row(LotDecisionEntry, row)
 
     def of_lot(self, lot_id: str) -> list[LotDecisionEntry]:
         """Return every decision on a lot, oldest first; two registries may have one of the same number."""
         d = lot_decisions.c
         query = select(lot_decisions).where(d.lot_id == lot_id).order_by(d.made_at, d.number, d.origin)
-        return [of_row(LotDecisionEntry, row) for row in self.database.rows(query)]
+        return [entry_from_row(LotDecisionEntry, row) for row in self.database.rows(query)]
 
 
 def decision_conflicts(database: Database) -> list[str]:

@@ -26,7 +26,7 @@ from softcal.db.repositories.in_use import (
     ids_of_this_method,
     limit_in_force,
 )
-from softcal.db.repositories.registry_base import RegistryBase, damage_error, of_row
+from softcal.db.repositories.registry_base import RegistryBase, damage_error, entry_from_row
 from softcal.db.repositories.unit_states import read_parts, state_of
 from softcal.db.schema.database import Database, equality_conditions, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
@@ -147,7 +147,7 @@ class LotPages(RegistryBase):
                     stored, row = None, rows.get((unit.serial, unit.state_sha256))
                     if has_calibration and row is not None:
                         state = state_of(self.database, row, fit_rows, has_arrays=has_arrays)
-                        stored = of_row(StoredCalibration, row, state=state, is_current=True, is_conflict=False)
+                        stored = entry_from_row(StoredCalibration, row, state=state, is_current=True, is_conflict=False)
                     decision = (unit.verdict, unit.reasons, unit.made_at)
                     unit_statuses[unit.serial] = UnitResult(unit.serial, *decision, stored)
         return unit_statuses
@@ -240,7 +240,7 @@ class StatusQuery:
             reasons = (self.limit.stale_reason(row["judged_by"]),)
         else:
             reasons = tuple(map(Reason.parse, row["reasons"] or ()))
-        return of_row(UnitEntry, row, reasons=reasons)
+        return entry_from_row(UnitEntry, row, reasons=reasons)
 
 
 def is_stale(unit: UnitEntry) -> bool:

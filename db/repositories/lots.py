@@ -13,7 +13,7 @@ from softcal.core.quality.line_rules import RETESTS, LineRules, rules_for
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
 from softcal.db.repositories.in_use import newest_limit
 from softcal.db.repositories.lot_pages import units_with_status
-from softcal.db.repositories.registry_base import RegistryBase, of_row
+from softcal.db.repositories.registry_base import RegistryBase, entry_from_row
 from softcal.db.schema.database import equality_conditions
 from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals, units
 
@@ -119,7 +119,7 @@ class LotTables(RegistryBase):
 
     def limit_versions(self, lot_id: str) -> list[LimitEntry]:
         """Return every version of a lot's limit, oldest first."""
-        return [of_row(LimitEntry, row) for row in self._versions(limits, lot_id)]
+        return [entry_from_row(LimitEntry, row) for row in self._versions(limits, lot_id)]
 
     def set_limit(
         self,
@@ -161,7 +161,7 @@ class LotTables(RegistryBase):
     def line_rules_versions(self, lot_id: str) -> list[LineRulesEntry]:
         """Return every version of a lot's rules, oldest first."""
         rows = self._versions(line_rules, lot_id)
-        return [of_row(LineRulesEntry, row, rules=parse_rules(row)) for row in rows]
+        return [entry_from_row(LineRulesEntry, row, rules=parse_rules(row)) for row in rows]
 
     def set_line_rules(
         self,

@@ -11,7 +11,7 @@ from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError, NoSuchNetwork
 from softcal.db.entries import NetworkEntry
-from softcal.db.repositories.registry_base import RegistryBase, of_row
+from softcal.db.repositories.registry_base import RegistryBase, entry_from_row
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.tables import network_releases, networks
 
@@ -80,12 +80,12 @@ class NetworkTables(RegistryBase):
     def entry(self, network_id: str) -> NetworkEntry:
         """Return the metadata of a network without weights; raise `InputError` for an unknown network."""
         with self.database.reading():
-            return of_row(NetworkEntry, self._network_row(network_id))
+            return entry_from_row(NetworkEntry, self._network_row(network_id))
 
     def all(self) -> list[NetworkEntry]:
         """Return the metadata of every network without weights, oldest first."""
         query = select(networks).order_by(networks.c.added_at, networks.c.id)
-        return [of_row(NetworkEntry, row) for row in self.database.rows(query)]
+        return [entry_from_row(NetworkEntry, row) for row in self.database.rows(query)]
 
     def _network_row(self, network_id: str) -> RowMapping:
         row = self.database.row(select(networks).where(networks.c.id == network_id))

@@ -10,7 +10,7 @@ from sqlalchemy import RowMapping, and_, bindparam, or_, select
 
 from softcal.core.errors import InputError, NoSuchRecording
 from softcal.db.entries import INSTANTS_AGREE, RecordingEntry
-from softcal.db.repositories.registry_base import RegistryBase, of_row
+from softcal.db.repositories.registry_base import RegistryBase, entry_from_row
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import equality_conditions, parts
 from softcal.db.schema.tables import recordings
@@ -70,7 +70,7 @@ class RecordingTables(RegistryBase):
             key = {"sha": sha256, "lot": lot_id, "of_kind": kind}
             stored = None if is_first else self.database.row(SELECT_RECORDING, key)
             if stored is not None:
-                _check_instant(of_row(RecordingEntry, stored), measured_at)
+                _check_instant(entry_from_row(RecordingEntry, stored), measured_at)
             else:
                 blob = put_arrays(self.database, recording.arrays())
                 fields = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
@@ -122,11 +122,11 @@ class RecordingTables(RegistryBase):
         for some in parts(sorted(output_sha256s)):
             query = select(recordings).where(recordings.c.output_sha256.in_(some))
             rows += self.database.rows(query.order_by(recordings.c.added_at, recordings.c.sha256))
-        return [of_row(RecordingEntry, row) for row in rows]
+        return [entry_from_row(RecordingEntry, row) for row in rows]
 
     def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
         """Return the metadata of a lot's recordings, oldest first, without samples."""
         c = recordings.c
         query = select(recordings).where(*equality_conditions((c.lot_id, lot_id), (c.serial, serial), (c.kind, kind)))
         rows = self.database.rows(query.order_by(c.added_at, c.sha256))
-        return [of_row(RecordingEntry, row) for row in rows]
+        return [entry_from_row(RecordingEntry, row) for row in rows]

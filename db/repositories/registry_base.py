@@ -51,10 +51,10 @@ def damage_error(damage: str) -> RegistryDamaged:
 
 def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(method)
-    def done(self: "RegistryBase", *arguments: Any, **options: Any) -> Any:
+    def retried(self: "RegistryBase", *arguments: Any, **options: Any) -> Any:
         return self.database.once_more(lambda: method(self, *arguments, **options))
 
-    return done
+    return retried
 
 
 class RegistryBase:
@@ -186,7 +186,7 @@ class RegistryBase:
             raise NoSuchUnit(reason("name.no_such_serial", serial=repr(serial), known=_some(serials)))
 
 
-def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
+def entry_from_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
     """Return a dataclass from the columns of a row, with further fields."""
     names = (one.name for one in fields(kind) if one.name in row)  # type: ignore[arg-type]
     return kind(**{name: row[name] for name in names} | others)

@@ -9,7 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.messages.reason import to_stored
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.repositories.history import row_key
-from softcal.db.repositories.registry_base import RegistryBase, of_row
+from softcal.db.repositories.registry_base import RegistryBase, entry_from_row
 from softcal.db.schema.arrays import get_bytes, put_bytes
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database, equality_conditions, parts
@@ -78,7 +78,7 @@ class StationTables(RegistryBase):
         )
         query = query if since is None else query.where(c.made_at >= since)
         rows = self.database.rows(query.order_by(c.made_at, c.station, c.lot_id, c.serial))
-        return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in rows]
+        return [entry_from_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in rows]
 
     def stored_checks(self, station: str, since: datetime | None = None) -> dict[str, list[GoldenRun]]:
         """Return the checks of a station by the registry that stored them, in the order of its chain.
@@ -98,11 +98,11 @@ class StationTables(RegistryBase):
         for entry in sorted(stored, key=lambda entry: entry["seq"]):
             row = rows[entry["key"]]
             if entry["origin"] == row["origin"]:
-                run = of_row(GoldenRun, row, reasons=tuple(row["reasons"]))
+                run = entry_from_row(GoldenRun, row, reasons=tuple(row["reasons"]))
                 checks.setdefault(row["origin"], []).append(run)
         return checks
 
 
 def _certificate(database: Database, row: RowMapping) -> CellCertificate:
     blob = row["blob_sha256"]
-    return of_row(CellCertificate, row, document=None if blob is None else get_bytes(database, blob))
+    return entry_from_row(CellCertificate, row, document=None if blob is None else get_bytes(database, blob))

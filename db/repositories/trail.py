@@ -28,7 +28,7 @@ class AuditTrail(RegistryBase):
         with self.database.writing():
             self._write_audit_row(action, entity, key, actor, after=values, reason=reason)
 
-    def of(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
+    def list_rows(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
         """Return the entries of one entity, in time order."""
         return self._of(audit.c.entity == entity, audit.c.key == canonical_json(key))
 

@@ -113,7 +113,7 @@ def _read_only_engine(url: URL, path: Path, cause: str) -> Engine:
     return engine
 
 
-def _companion(path: Path, suffix: str) -> Path:
+def _sidecar_path(path: Path, suffix: str) -> Path:
     return path.with_name(path.name + suffix)
 
 
@@ -130,10 +130,10 @@ def _opener(path: Path) -> Callable[[], sqlite3.Connection]:
         name = f"file:{quote(str(path.absolute()))}?mode=ro"
         if _has_no_log(path):
             return connected(f"{name}&immutable=1", uri=True)
-        if os.access(_companion(path, "-shm"), os.R_OK) and not network_share(path.absolute().parent):
+        if os.access(_sidecar_path(path, "-shm"), os.R_OK) and not network_share(path.absolute().parent):
             return connected(name, uri=True)
         if not copy:
-            copy.append(_private_copy(path, _companion(path, "-wal")))
+            copy.append(_private_copy(path, _sidecar_path(path, "-wal")))
             weakref.finalize(connect, shutil.rmtree, copy[0].parent, ignore_errors=True)
         return connected(copy[0])
 
@@ -145,7 +145,7 @@ def _private_copy(path: Path, wal: Path) -> Path:
     try:
         before, copy = [_state(path), _state(wal)], folder / "registry.db"
         shutil.copyfile(path, copy)
-        shutil.copyfile(wal, _companion(copy, "-wal"))
+        shutil.copyfile(wal, _sidecar_path(copy, "-wal"))
         if [_state(path), _state(wal)] != before:
             raise _was_written(path)
     except BaseException as error:
@@ -157,8 +157,8 @@ def _private_copy(path: Path, wal: Path) -> Path:
 
 
 def _has_no_log(path: Path) -> bool:
-    wal = _companion(path, "-wal")
-    return not wal.exists() or (wal.stat().st_size == 0 and not _companion(path, "-shm").exists())
+    wal = _sidecar_path(path, "-wal")
+    return not wal.exists() or (wal.stat().st_size == 0 and not _sidecar_path(path, "-shm").exists())
 
 
 def _state(path: Path) -> tuple[int, int]:

@@ -21,7 +21,7 @@ source_twin = softcal.Twin(BaseParameters(), lag, readout)
 unit_twin = softcal.Twin(BaseParameters(r0_ohm=4.6, kappa_per_N=0.065), lag, readout)
 
 
-def pressed(twin, presses):
+def press_unit(twin, presses):
     """Press a unit by hand, so to say: depth and speed differ a little from press to press."""
     parts = [ramps([depth_mm], speed_mm_s, rest_s=0.5) for depth_mm, speed_mm_s in presses]
     profile = parts[0]
@@ -41,9 +41,9 @@ def presses(count):
 # ## Calibrate
 
 # %%
-t_s, force_N, output_V = pressed(source_twin, presses(40))
+t_s, force_N, output_V = press_unit(source_twin, presses(40))
 network = softcal.fit_network(softcal.Recording(output_V, force_N, t_s=t_s), hidden=(32, 16))
-t_s, _, output_V = pressed(unit_twin, presses(40))
+t_s, _, output_V = press_unit(unit_twin, presses(40))
 target = softcal.Recording(output_V, t_s=t_s, serial="A1")
 unit = softcal.fit_map(network, target, limit_rmse=0.3)
 print(unit.verdict, f"error expected: {unit.predicted_rmse:.3f} N")
@@ -54,7 +54,7 @@ print(unit.verdict, f"error expected: {unit.predicted_rmse:.3f} N")
 # After a fifth of the time the output begins to rise: by a tenth of its span, and 5 % in gain.
 
 # %%
-t_s, force_N, output_V = pressed(unit_twin, presses(300))
+t_s, force_N, output_V = press_unit(unit_twin, presses(300))
 late = np.clip((np.linspace(0, 1, len(t_s)) - 0.2) / 0.8, 0, 1)
 zero_V, span_V = output_V.min(), np.ptp(output_V)
 drifted_V = zero_V + (1 + 0.05 * late) * (output_V - zero_V) + 0.1 * span_V * late
@@ -72,8 +72,8 @@ for mode in ("none", "improved"):
 fifths = np.array_split(np.arange(len(t_s)), 5)
 errors = pd.DataFrame(
     {
-        mode: [float(np.sqrt(np.nanmean((found.estimate[rows] - force_N[rows]) ** 2))) for rows in fifths]
-        for mode, found in estimates.items()
+        mode: [float(np.sqrt(np.nanmean((course.estimate[rows] - force_N[rows]) ** 2))) for rows in fifths]
+        for mode, course in estimates.items()
     },
     index=[f"{k} of 5" for k in range(1, 6)],
 )

@@ -44,8 +44,8 @@ for k, profile in enumerate(runs, start=1):
     folder.mkdir(parents=True, exist_ok=True)
     table = pd.DataFrame({"t_s": t_s, "stage_mm": stage_mm, "force_N": force_N, "output_V": output_V})
     table.to_csv(folder / "recording.csv", index=False)
-    facts = {"serial": "A17", "profile": profile.name, **asdict(readout)}
-    (folder / "recording.json").write_text(json.dumps(facts), encoding="utf-8")
+    metadata = {"serial": "A17", "profile": profile.name, **asdict(readout)}
+    (folder / "recording.json").write_text(json.dumps(metadata), encoding="utf-8")
 
 # %% [markdown]
 # ## Diagnose

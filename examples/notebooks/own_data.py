@@ -72,8 +72,8 @@ if Path("audit.csv").exists():
     print(f"measured error: {unit.rmse(audit):.3f} N")
 
     table = audit.to_frame()
-    stands = table.reference.diff().abs().rolling(15).max() < 0.1
-    rows = [int(table.reference[stands].idxmin()), int(table.reference[stands].idxmax())]
+    is_steady = table.reference.diff().abs().rolling(15).max() < 0.1
+    rows = [int(table.reference[is_steady].idxmin()), int(table.reference[is_steady].idxmax())]
     anchors = table.loc[rows, ["output", "reference"]]
     anchored = softcal.fit_map(network, target, limit_rmse=0.3, anchors=(anchors.output, anchors.reference))
     print(anchors.round(3))

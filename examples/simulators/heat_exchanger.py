@@ -31,9 +31,9 @@ def simulate(inputs: Columns, p: Mapping[str, float]) -> Columns:
     """Return the temperature of the outlet in °C under a flow."""
     t_s, flow, first_C = inputs["t_s"], inputs["flow"], inputs["temperature_C"][0]
     late = np.interp(t_s - p["dead_time.delay"], t_s, flow)
-    wants_C = p["level"] - p["cooling"] * ((late - STRETCH) + p["curved_cooling.bend"] * (late - STRETCH) ** 2)
+    target_C = p["level"] - p["cooling"] * ((late - STRETCH) + p["curved_cooling.bend"] * (late - STRETCH) ** 2)
     within_s = p["wall"] * np.maximum(late / STRETCH, 0.05) ** -p["quick_flow.power"]
-    out = _lag(wants_C, t_s, within_s, first_C)
+    out = _lag(target_C, t_s, within_s, first_C)
     out = _lag(out, t_s, np.full(len(t_s), p["second_wall.within"]), first_C)
     return {"temperature_C": out + p["slow_steam.rate"] * t_s}
 

@@ -72,6 +72,6 @@ def problem(friction_N: float = 0.4) -> SysidProblem:
 if __name__ == "__main__":
     from softcal.core.gap.simulator_model import diagnose_simulator
 
-    found = diagnose_simulator(problem().simulator, problem().runs)
-    likely = [(c.effect, c.parameters["change"]) for c in found.causes if c.probability > 0.5]
-    print(found.verdict, likely, found.explained_fraction)
+    diagnosis = diagnose_simulator(problem().simulator, problem().runs)
+    likely = [(c.effect, c.parameters["change"]) for c in diagnosis.causes if c.probability > 0.5]
+    print(diagnosis.verdict, likely, diagnosis.explained_fraction)

@@ -47,10 +47,10 @@ def open_meter(config: MeterConfig, opening: Opening) -> QueryReader:
 def simulate(around: Surroundings) -> Simulated[MeterConfig]:
     averages = ["1"]
 
-    def answer(words: str, now_s: float) -> str:
-        if words.startswith("AVG "):
-            averages[0] = words.removeprefix("AVG ")
-        return {"C?": f"{100 * around.outputs_V(now_s)[0]:+.3f} pF", "AVG?": averages[0]}.get(words, "")
+    def answer(query: str, now_s: float) -> str:
+        if query.startswith("AVG "):
+            averages[0] = query.removeprefix("AVG ")
+        return {"C?": f"{100 * around.outputs_V(now_s)[0]:+.3f} pF", "AVG?": averages[0]}.get(query, "")
 
     return Simulated(MeterConfig(around.wire.port), SimulatedAnswers(around.wire, answer), reading_per_V=100.0)
 

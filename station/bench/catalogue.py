@@ -24,7 +24,7 @@ GROUPS: dict[Role, str] = {"stage": "softcal.stages", "cell": "softcal.cells", "
 
 
 @dataclass(frozen=True)
-class Offer:
+class DriverEntry:
     """One driver with its origin, and the error if it cannot be loaded.
 
     Args:
@@ -42,7 +42,7 @@ class Offer:
     fault: str = ""
 
 
-def offers() -> list[Offer]:
+def list_drivers() -> list[DriverEntry]:
     """Return every driver, shipped drivers first; a driver that cannot be loaded has its error."""
     return [*_shipped(), *(_load(role, point) for role in GROUPS for point in find_plugins(GROUPS[role]))]
 
@@ -66,7 +66,7 @@ def driver_of(role: Role, kind: str) -> AnyDriver:
 
 
 @cache
-def _shipped() -> tuple[Offer, ...]:
+def _shipped() -> tuple[DriverEntry, ...]:
     folder = softcal.station.drivers
     modules = [importlib.import_module(f"{folder.__name__}.{m.name}") for m in pkgutil.iter_modules(folder.__path__)]
     drivers: list[AnyDriver] = [driver for module in modules for driver in getattr(module, "DRIVERS", ())]
@@ -74,10 +74,10 @@ def _shipped() -> tuple[Offer, ...]:
         softcal_version = version("softcal")
     except PackageNotFoundError:  # A checkout that is not installed.
         softcal_version = "unknown"
-    return tuple(Offer(driver.role, driver.kind, "softcal", softcal_version, driver) for driver in drivers)
+    return tuple(DriverEntry(driver.role, driver.kind, "softcal", softcal_version, driver) for driver in drivers)
 
 
-def _load(role: Role, point: EntryPoint) -> Offer:
+def _load(role: Role, point: EntryPoint) -> DriverEntry:
     package, release = (point.dist.name, point.dist.version) if point.dist else ("unknown", "unknown")
     driver, fault = None, ""
     try:
@@ -88,4 +88,4 @@ def _load(role: Role, point: EntryPoint) -> Offer:
         fault = f"{point.value} is no softcal.station.devices.driver.Driver"
     elif driver is not None and (driver.role, driver.kind) != (role, point.name):
         fault = f"{point.value} calls itself {driver.role} {driver.kind!r}; entry point and driver must agree"
-    return Offer(role, point.name, package, release, None if fault else driver, fault)
+    return DriverEntry(role, point.name, package, release, None if fault else driver, fault)

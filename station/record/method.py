@@ -8,11 +8,11 @@ from softcal.core.settings import NumberedMethod, setting
 RIGS = "good rigs of benchmarks/station_proof.py, seeds 0 to 99, 156, 400 to 519 and 600 to 1099"
 """Origin of what was chosen on simulated rigs; docs/results.md reports other seeds."""
 
-CHANGED = "good rigs of benchmarks/station_proof.py, seeds 0 to 59, and their outputs changed by 3 % and by 10 %"
+CHANGED_RIGS = "good rigs of benchmarks/station_proof.py, seeds 0 to 59, and their outputs changed by 3 % and by 10 %"
 
-PRESSED = "good rigs of benchmarks/station_faults.py, seeds 3000 to 3499, and lost steps on seeds 4000 to 4049"
+LOST_STEP_RIGS = "good rigs of benchmarks/station_faults.py, seeds 3000 to 3499, and lost steps on seeds 4000 to 4049"
 
-FILTERED = "good rigs of benchmarks/station_proof.py, seeds 8 to 39, as they are and behind a low pass of 0.1 s"
+FILTERED_RIGS = "good rigs of benchmarks/station_proof.py, seeds 8 to 39, as they are and behind a low pass of 0.1 s"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class CellLagConfig:
     tells_samples: float = setting(40.0, RIGS)
     late_s: float = setting(0.01, RIGS)
     period_share: float = setting(0.25, RIGS)
-    hidden: float = setting(0.35, FILTERED)
+    hidden: float = setting(0.35, FILTERED_RIGS)
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class HangConfig:
     mean_s: float = setting(0.1, RIGS)
     share: float = setting(0.3, RIGS)
     min_frac: float = setting(0.03, RIGS)
-    times: float = setting(22.0, PRESSED)
+    times: float = setting(22.0, LOST_STEP_RIGS)
     apart_s: float = setting(0.6, RIGS)
     rounds: int = setting(25, RIGS)
     largest: float = setting(0.99, RIGS)
@@ -144,10 +144,10 @@ class OutputConfig:
     span: int = setting(2, RIGS)
     rounding: float = setting(0.01, RIGS)
     alone: float = setting(1.5)
-    step: float = setting(0.25, CHANGED)
-    step_share: float = setting(0.02, CHANGED)
-    drift: float = setting(0.15, CHANGED)
-    drift_range: float = setting(0.05, CHANGED)
+    step: float = setting(0.25, CHANGED_RIGS)
+    step_share: float = setting(0.02, CHANGED_RIGS)
+    drift: float = setting(0.15, CHANGED_RIGS)
+    drift_range: float = setting(0.05, CHANGED_RIGS)
 
 
 @dataclass(frozen=True)
@@ -163,13 +163,13 @@ class SlipConfig:
         finer: tries around the best of them.
     """
 
-    max_residual: float = setting(0.46, PRESSED)
-    clear: float = setting(0.9, CHANGED)
-    max_softening: float = setting(0.7, PRESSED)
-    min_loss_mm: float = setting(0.05, CHANGED)
-    candidates_mm: tuple[float, ...] = setting((-0.4, -0.1, 0.1, 0.2, 0.4, 0.8), CHANGED)
-    samples: int = setting(400, CHANGED)
-    finer: int = setting(60, CHANGED)
+    max_residual: float = setting(0.46, LOST_STEP_RIGS)
+    clear: float = setting(0.9, CHANGED_RIGS)
+    max_softening: float = setting(0.7, LOST_STEP_RIGS)
+    min_loss_mm: float = setting(0.05, CHANGED_RIGS)
+    candidates_mm: tuple[float, ...] = setting((-0.4, -0.1, 0.1, 0.2, 0.4, 0.8), CHANGED_RIGS)
+    samples: int = setting(400, CHANGED_RIGS)
+    finer: int = setting(60, CHANGED_RIGS)
 
 
 @dataclass(frozen=True)
@@ -188,13 +188,13 @@ class ResponseConfig:
         limit_share: or by this share of the lot's limit.
     """
 
-    earliest_s: float = setting(-0.02, FILTERED)
-    fine_s: tuple[float, ...] = setting((-0.01, -0.005, 0.005, 0.01), FILTERED)
-    constants_s: tuple[float, ...] = setting((0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3, 0.4), FILTERED)
-    finer: tuple[float, ...] = setting((0.85, 0.93, 1.07, 1.15), FILTERED)
-    relaxation_s: tuple[float, ...] = setting((0.05, 0.2, 0.8, 3.0), FILTERED)
-    high_pass_s: float = setting(0.3, FILTERED)
-    tells: float = setting(1.3, FILTERED)
+    earliest_s: float = setting(-0.02, FILTERED_RIGS)
+    fine_s: tuple[float, ...] = setting((-0.01, -0.005, 0.005, 0.01), FILTERED_RIGS)
+    constants_s: tuple[float, ...] = setting((0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3, 0.4), FILTERED_RIGS)
+    finer: tuple[float, ...] = setting((0.85, 0.93, 1.07, 1.15), FILTERED_RIGS)
+    relaxation_s: tuple[float, ...] = setting((0.05, 0.2, 0.8, 3.0), FILTERED_RIGS)
+    high_pass_s: float = setting(0.3, FILTERED_RIGS)
+    tells: float = setting(1.3, FILTERED_RIGS)
     share: float = setting(0.005)
     limit_share: float = setting(0.25)
 

@@ -67,7 +67,7 @@ class Spool:
         self._lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._error: OSError | None = None
         self._thread = threading.Thread(target=self._write_lines, name="spool", daemon=True)
-        self._put({"schema": SCHEMA, **header})
+        self._write_line({"schema": SCHEMA, **header})
         self._thread.start()
 
     def __enter__(self) -> "Spool":
@@ -80,7 +80,7 @@ class Spool:
         if error is not None:
             cause = reason_of(error)
             end = reason("spool.aborted", why=cause if str(cause) else plain(type(error).__name__))
-        self._put({"end": end.to_json()})
+        self._write_line({"end": end.to_json()})
         self._lines.put(None)
         self._thread.join()
         try:
@@ -94,7 +94,7 @@ class Spool:
         """Append readings; raise `DeviceError` if an earlier line could not be written."""
         self._check()
         if output or cell or polls:
-            self._put(
+            self._write_line(
                 {
                     "output": [(s.host_s, s.device_s, *s.values) for s in output],
                     "force": [(s.host_s, s.device_s, *s.values) for s in cell],
@@ -104,13 +104,13 @@ class Spool:
 
     def add_metadata(self, metadata: dict[str, Any]) -> None:
         """Add the metadata by which the samples become a recording again."""
-        self._put({"facts": metadata})
+        self._write_line({"facts": metadata})
 
     def _check(self) -> None:
         if self._error is not None:
             raise DeviceError(reason("file.full", path=str(self.path), error=reason_of(self._error))) from self._error
 
-    def _put(self, value: dict[str, Any]) -> None:
+    def _write_line(self, value: dict[str, Any]) -> None:
         text = json.dumps(value, separators=(",", ":")).encode()
         self._lines.put(b"%08x %s\n" % (zlib.crc32(text), text))
 

@@ -23,7 +23,7 @@ SETTINGS = {10: 1.0, 13: 0.0, 20: 1.0, 21: 1.0, 22: 1.0, 24: 25.0, 25: 500.0, 27
 """A fresh controller (defaults.h, generic) with its limits switched on, the pressing axis."""
 
 _WORD = re.compile(rb"([A-Z])(-?(?:\d+\.?\d*|\.\d+))")
-_REAL_TIME = b"?!~\x18\x84\x85"
+_REAL_TIME_COMMANDS = b"?!~\x18\x84\x85"
 
 
 class SimulatedGrbl(FarEnd):
@@ -85,7 +85,7 @@ class SimulatedGrbl(FarEnd):
             elif byte in b"\r\n":
                 self._lines.append(self._received)
                 self._received = b""
-            elif byte not in _REAL_TIME and sum(map(len, [*self._lines, self._received])) < RECEIVE_BYTES - 1:
+            elif byte not in _REAL_TIME_COMMANDS and sum(map(len, [*self._lines, self._received])) < RECEIVE_BYTES - 1:
                 self._received += byte
         self._work()
 

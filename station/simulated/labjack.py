@@ -26,10 +26,10 @@ class SimulatedLabjack(SimulatedAnswers):
         return f"{content} {sum(content.encode())}"
 
     def _value(self, name: str, now_s: float) -> float:
-        name, _, written = name.partition("=")
+        name, _, value = name.partition("=")
         if name.endswith(tuple(REGISTERS)):
-            if written:
-                self.registers[name] = float(written)
+            if value:
+                self.registers[name] = float(value)
             return self.registers.get(name, 0.0)
         return self._inputs_V(now_s)[int(name.removeprefix("AIN"))]
 

@@ -43,7 +43,7 @@ from softcal.station.tasks.durations import (
 )
 from softcal.station.trajectory import DrivenMove, reconstruct_track
 
-SEARCH_WAY_MM = 0.05
+MIN_SEARCH_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""
 
 ROUNDING_MM, REST_S = 1e-6, 0.3
@@ -282,8 +282,8 @@ class _Run:
         if not search.has_contact:
             raise SafetyStop(reason("rig.no_contact", deepest_mm=deepest_mm))
         polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
-        if not polls or self._stage.position_mm - move.path.start_mm < SEARCH_WAY_MM:
-            raise BadReply(reason("rig.contact_at_once", way_mm=SEARCH_WAY_MM))
+        if not polls or self._stage.position_mm - move.path.start_mm < MIN_SEARCH_MM:
+            raise BadReply(reason("rig.contact_at_once", way_mm=MIN_SEARCH_MM))
         # The search ended in a stop: the path that can be reconstructed begins here.
         self._moves.clear()
         return search.approach(reconstruct_track(polls, [move]).at)

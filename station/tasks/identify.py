@@ -24,7 +24,7 @@ LISTEN_S, FEW_LINES = 1.0, 5
 ANSWER_S = 2.5
 """An Arduino that was reset by opening its port is in its boot loader for about 1.5 s."""
 
-QUICK_S = 0.5
+QUICK_ANSWER_S = 0.5
 
 CONVERTER_COUNTS, CELL_RATES_HZ = 4095, (10.0, 80.0)
 """Largest count of a 12-bit converter; the rates of an HX711."""
@@ -111,7 +111,11 @@ def _classify_stream(banner: str, largest: int, smallest: int, rate_Hz: float) -
 
 
 def _answer(
-    link: Link, question: bytes, parse: Callable[[bytes], T | None], within_s: float = QUICK_S, is_first: bool = False
+    link: Link,
+    question: bytes,
+    parse: Callable[[bytes], T | None],
+    within_s: float = QUICK_ANSWER_S,
+    is_first: bool = False,
 ) -> T | None:
     """Return the first answer that reads; or the first at all, where none can be another dialect's."""
     link.discard()
@@ -146,8 +150,8 @@ def _grbl(link: Link) -> DeviceIdentity | None:
             return reason("port.said", said=reply.text)
         return reason("port.grbl", state=reply.state) if isinstance(reply, grbl.GrblStatus) else None
 
-    says = _answer(link, b"\r\n" + grbl.STATUS, parse, ANSWER_S)
-    return DeviceIdentity(link.port, "stage", "grbl", says) if says else None
+    answer = _answer(link, b"\r\n" + grbl.STATUS, parse, ANSWER_S)
+    return DeviceIdentity(link.port, "stage", "grbl", answer) if answer else None
 
 
 def _zaber(link: Link) -> DeviceIdentity | None:
@@ -158,8 +162,8 @@ def _zaber(link: Link) -> DeviceIdentity | None:
 
 def _mark10(link: Link) -> DeviceIdentity | None:
     settings = _answer(link, gcl2.END + gcl2.LIST, gcl2.parse_settings)
-    says = reason("port.mark10", unit=settings.unit) if settings else None
-    return DeviceIdentity(link.port, "force", "mark10", says, 50.0, 1) if says else None
+    answer = reason("port.mark10", unit=settings.unit) if settings else None
+    return DeviceIdentity(link.port, "force", "mark10", answer, 50.0, 1) if answer else None
 
 
 def _loadstar(link: Link) -> DeviceIdentity | None:
@@ -171,5 +175,5 @@ def _loadstar(link: Link) -> DeviceIdentity | None:
         )
 
     model = _answer(link, loadstar.PING + loadstar.MODEL, parse)
-    says = reason("port.loadstar", model=model) if model else None
-    return DeviceIdentity(link.port, "force", "loadstar", says, 80.0, 1) if says else None
+    answer = reason("port.loadstar", model=model) if model else None
+    return DeviceIdentity(link.port, "force", "loadstar", answer, 80.0, 1) if answer else None

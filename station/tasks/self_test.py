@@ -153,7 +153,7 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
 
 
 @dataclass(frozen=True)
-class _Way:
+class _OutAndBack:
     """Speeds and times of one way of the self-test.
 
     They are the speed of the stage, the times down and up, the depth, the difference of position after the return, and
@@ -167,7 +167,7 @@ class _Way:
     ran_on_mm: float
 
 
-def _go_out_and_back(monitored: MonitoredBench) -> _Way:
+def _go_out_and_back(monitored: MonitoredBench) -> _OutAndBack:
     bench, stage = monitored.bench, monitored.bench.stage
     monitored.start()
     monitored.home()
@@ -184,7 +184,7 @@ def _go_out_and_back(monitored: MonitoredBench) -> _Way:
     if len(monitored.readings.polls) == count:
         raise DeviceError(Reason("rig.no_position.known"))
     suspended_s = SUSPENDED_S if np.isfinite(ran_on_mm) else 0.0
-    return _Way(
+    return _OutAndBack(
         speed_mm_s, took_s - suspended_s, down_mm, monitored.readings.polls[-1].position_mm - began_mm, ran_on_mm
     )
 
@@ -211,7 +211,7 @@ def _ran_on_mm(monitored: MonitoredBench, to_mm: float, speed_mm_s: float) -> fl
     return max(0.0, later_mm[0] - start_mm)
 
 
-def _safety_findings(monitored: MonitoredBench, way: _Way) -> Iterator[SelfTestItem]:
+def _safety_findings(monitored: MonitoredBench, way: _OutAndBack) -> Iterator[SelfTestItem]:
     """Return the force that a stop on this rig allows, and after a loss of the host: bound and measurement."""
     bounds, stage = monitored.bounds, monitored.bench.stage
     for setting, mend in stage.unsafe_settings() if isinstance(stage, SettingsAudit) else ():

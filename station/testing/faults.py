@@ -27,7 +27,7 @@ MOMENTS: Mapping[str, tuple[str, float]] = {
 }
 """Every state a run goes through: the phase, and seconds into it."""
 
-Inject = Callable[[SimulatedStation], None]
+FaultInjection = Callable[[SimulatedStation], None]
 
 
 @dataclass(frozen=True)
@@ -44,23 +44,23 @@ class Fault:
     name: str
     phase: str
     after_s: float
-    inject: Inject
+    inject: FaultInjection
     is_detected_late: bool = False  # noqa: V107
     has_cell: bool = True
     stage_kind: str = "grbl"
     force_kind: str = "hx711"
 
 
-def _at_every_moment(label: str, inject: Inject, *but: str) -> list[Fault]:
+def _at_every_moment(label: str, inject: FaultInjection, *but: str) -> list[Fault]:
     moments = {when: moment for when, moment in MOMENTS.items() if when not in but}
     return [Fault(f"{label} {when}", phase, after_s, inject) for when, (phase, after_s) in moments.items()]
 
 
-def _from_the_start(name: str, inject: Inject) -> Fault:
+def _from_the_start(name: str, inject: FaultInjection) -> Fault:
     return Fault(name, "", 0.0, inject)
 
 
-def _pressing(name: str, inject: Inject, after_s: float = DOWN_S, force_kind: str = "hx711") -> Fault:
+def _pressing(name: str, inject: FaultInjection, after_s: float = DOWN_S, force_kind: str = "hx711") -> Fault:
     return Fault(name, PRESSING, after_s, inject, force_kind=force_kind)
 
 
@@ -72,26 +72,26 @@ def _without_cell(fault: Fault) -> Fault:
     return replace(fault, name=f"{fault.name}, no load cell", has_cell=False)
 
 
-def _set(target: str, name: str, value: object) -> Inject:
+def _set(target: str, name: str, value: object) -> FaultInjection:
     return lambda station: setattr(getattr(station, target), name, value)
 
 
-def _add(target: str, name: str, amount: float) -> Inject:
+def _add(target: str, name: str, amount: float) -> FaultInjection:
     def inject(station: SimulatedStation) -> None:
         setattr(getattr(station, target), name, getattr(getattr(station, target), name) + amount)
 
     return inject
 
 
-def _unplug(wire: str) -> Inject:
+def _unplug(wire: str) -> FaultInjection:
     return lambda station: getattr(station, wire).unplug()
 
 
-def _force(change: Callable[[float], float]) -> Inject:
+def _force(change: Callable[[float], float]) -> FaultInjection:
     return _set("rig", "force_fault", lambda now_s, force_N: change(force_N))
 
 
-def _output(change: Callable[[float], float]) -> Inject:
+def _output(change: Callable[[float], float]) -> FaultInjection:
     return _set("rig", "output_fault", lambda now_s, output_V: change(output_V))
 
 
@@ -179,11 +179,11 @@ def _flip_bits_unchecked(station: SimulatedStation) -> None:
     station.force.has_checksum, station.force_wire.flipped = False, 0.02
 
 
-def _set_cell(kind: type[FarEnd], name: str, value: object) -> Inject:
+def _set_cell(kind: type[FarEnd], name: str, value: object) -> FaultInjection:
     return lambda station: setattr(station.far_end(kind, "cell"), name, value)
 
 
-def _of_zaber(name: str, inject: Inject) -> Fault:
+def _of_zaber(name: str, inject: FaultInjection) -> Fault:
     return replace(_pressing(f"{name} while pressing", inject), stage_kind="zaber")
 
 

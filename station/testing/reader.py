@@ -79,7 +79,7 @@ def _reads_in_time(rig: DriverRig) -> None:
         )
 
 
-def _keeps_its_rate(rig: DriverRig) -> None:
+def _check_rate(rig: DriverRig) -> None:
     reader = rig.reader()
     seconds = 4.0
     samples = rig.collect(reader, seconds)
@@ -158,7 +158,7 @@ READER: dict[str, Callable[[DriverRig], None]] = {
     "it declares name, unit, rate and range": _declares_identity,
     "every level is read, in its unit": _reads_every_level,
     "a ramp is read in time": _reads_in_time,
-    "it keeps its rate, and its times go forward": _keeps_its_rate,
+    "it keeps its rate, and its times go forward": _check_rate,
     "start() throws away what lay there": _starts_anew,
     "of a silent device it delivers nothing": _is_silent_with_its_device,
     "of noise it delivers nothing": _is_deaf_to_noise,

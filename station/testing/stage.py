@@ -66,7 +66,7 @@ def _homes(rig: DriverRig) -> None:
     require(waits, "home() never called on_wait: nobody could break it off")
 
 
-def _reaches_targets(rig: DriverRig) -> None:
+def _check_targets(rig: DriverRig) -> None:
     stage = rig.homed()
     for to_mm in TARGETS_MM:
         _go(rig, stage, to_mm)
@@ -166,7 +166,7 @@ def _set(switch: str, value: object) -> Callable[[DriverRig], None]:
 STAGE: dict[str, Callable[[DriverRig], None]] = {
     "it moves only when it is homed": _moves_only_when_homed,
     "it homes, and lets itself be watched": _homes,
-    "it goes where it is told": _reaches_targets,
+    "it goes where it is told": _check_targets,
     "it says where it is while it moves": _reports_position,
     "it refuses what it cannot do, and sends nothing": _refuses,
     "it stops at once and stays": _stops,

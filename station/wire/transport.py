@@ -17,7 +17,7 @@ WireKind: TypeAlias = Literal["serial", "tcp", "visa", "ble", "library"]
 """`library`: the driver speaks through a vendor's library and gives `port` a meaning of its own."""
 
 _VISA = re.compile(r"(TCPIP|USB|GPIB|VXI|PXI|ASRL)\d*::.+", re.IGNORECASE)
-_TCP = re.compile(r"tcp://(?P<host>\[[^\]]+\]|[^:/]+):(?P<port>\d{1,5})")
+_TCP_ADDRESS = re.compile(r"tcp://(?P<host>\[[^\]]+\]|[^:/]+):(?P<port>\d{1,5})")
 
 BLE = "ble://"
 
@@ -103,7 +103,7 @@ class TcpTransport:
     """A TCP socket, `tcp://host:port`: an instrument, a serial server, a controller."""
 
     def __init__(self, address: str) -> None:
-        match = _TCP.fullmatch(address)
+        match = _TCP_ADDRESS.fullmatch(address)
         if match is None or not 0 < int(match["port"]) < 65536:
             raise ValueError("an address as tcp://192.168.0.7:5025 was expected")
         self._socket = socket.create_connection((match["host"].strip("[]"), int(match["port"])), CONNECT_S)

@@ -93,7 +93,7 @@ def patient_start(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def own_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def separate_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Jobs and logs of the test lie in its own folder."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path / "logs"))
@@ -139,9 +139,9 @@ def _sign_in(screen: AppTest, url: str, role: str) -> None:
 def add_people(url: str) -> None:
     """Put one person of each role into a registry."""
     with open_registry(url) as registry:
-        known = {user.name for user in registry.people.all()}
+        names = {user.name for user in registry.people.all()}
         for role, (name, pin) in PINS.items():
-            if name not in known:
+            if name not in names:
                 registry.people.set(name, role, pin, actor="test")
 
 
@@ -233,7 +233,7 @@ class ServedStation:
         mine = f"{socket.gethostname()}:{self._process.pid}"
         with open_registry(self._url) as registry:
             deadline_s = time.monotonic() + START_S
-            while (beat := registry.order_queue.heartbeat(self._name)) is None or beat.process != mine:
+            while (heartbeat := registry.order_queue.heartbeat(self._name)) is None or heartbeat.process != mine:
                 assert time.monotonic() < deadline_s and self._process.poll() is None, self._log.read_text()
                 time.sleep(0.1)
 
@@ -293,12 +293,12 @@ def _certificate(
     hosts = [x509.DNSName("localhost"), x509.IPAddress(ip_address("127.0.0.1"))]
     names = x509.SubjectAlternativeName([*hosts, x509.UniformResourceIdentifier("urn:softcal:server")])
     authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing.public_key())
-    made = x509.CertificateBuilder(issuer, subject, key.public_key(), x509.random_serial_number())
-    made = made.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
-    made = made.add_extension(x509.BasicConstraints(signer is None, None), True).add_extension(names, False)
-    made = made.add_extension(authority, False)
-    made = made.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)
-    return key, made.sign(signing, hashes.SHA256())
+    builder = x509.CertificateBuilder(issuer, subject, key.public_key(), x509.random_serial_number())
+    builder = builder.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
+    builder = builder.add_extension(x509.BasicConstraints(signer is None, None), True).add_extension(names, False)
+    builder = builder.add_extension(authority, False)
+    builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)
+    return key, builder.sign(signing, hashes.SHA256())
 
 
 @pytest.fixture(scope="session")
@@ -352,13 +352,15 @@ def chromium(require_program: Callable[..., str]) -> Iterator[Browser]:
 def page(chromium: Browser) -> Iterator[Page]:
     """A fresh browser tab; it fails the test when anything outside this machine was asked for."""
     context = chromium.new_context(viewport={"width": 1280, "height": 900})
-    asked: list[str] = []
-    context.on("request", lambda request: asked.append(request.url))
+    addresses: list[str] = []
+    context.on("request", lambda request: addresses.append(request.url))
     tab = context.new_page()
     tab.set_default_timeout(1000 * START_S)
     yield tab
     context.close()
-    assert not [url for url in asked if not url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:"))]
+    assert not [
+        url for url in addresses if not url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:"))
+    ]
 
 
 @pytest.fixture
@@ -405,13 +407,13 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Line]:
 def _press_source(registry: Registry, folder: Path) -> None:
     """Press the lot's source and train its network, in this process and without its clock."""
     order = Order("source", STATION, OrderKind.SOURCE, "A0", LOT, "engineer", "")
-    asked: list[bool] = []
+    answers: list[bool] = []
 
     def goes_on() -> bool:
-        beat = registry.order_queue.heartbeat(STATION)
-        if not asked and beat is not None and beat.state in (StationState.READY, StationState.CLOSED):
-            asked.append(registry.order_queue.place(order))
-        return not asked or registry.order_queue.progress(order.order_id).state.is_active
+        heartbeat = registry.order_queue.heartbeat(STATION)
+        if not answers and heartbeat is not None and heartbeat.state in (StationState.READY, StationState.CLOSED):
+            answers.append(registry.order_queue.place(order))
+        return not answers or registry.order_queue.progress(order.order_id).state.is_active
 
     serve_here(registry, Serving(STATION, simulated_seed=5, speed=1000.0, **AS_SERVED), folder / "spool", goes_on)
     assert registry.order_queue.progress(order.order_id).state is RunState.DONE
@@ -454,12 +456,12 @@ def install_example(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path]
     """`install_example(folder)`: where pip has installed it; the tests' own environment does not see it."""
 
     def install(example: Path) -> Path:
-        place = tmp_path_factory.mktemp("plugin")
-        source = shutil.copytree(example, place / "source", ignore=shutil.ignore_patterns("build", "*.egg-info"))
+        folder = tmp_path_factory.mktemp("plugin")
+        source = shutil.copytree(example, folder / "source", ignore=shutil.ignore_patterns("build", "*.egg-info"))
         offline = ["--no-index", "--no-deps", "--no-build-isolation", "--quiet", "--disable-pip-version-check"]
-        command = [sys.executable, "-m", "pip", "install", *offline, "--target", str(place / "site"), str(source)]
+        command = [sys.executable, "-m", "pip", "install", *offline, "--target", str(folder / "site"), str(source)]
         subprocess.run(command, check=True, capture_output=True)
-        return place / "site"
+        return folder / "site"
 
     return install
 

@@ -30,11 +30,11 @@ def write_xls(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> P
     for body in bodies:
         starts.append(position)
         position += len(body)
-    placed = [
+    placed_records = [
         _record(0x85, struct.pack("<IBBBB", start, 0, 0, len(n), 0) + n.encode("latin-1"))
         for start, n in zip(starts, sheets, strict=True)
     ]
-    path.write_bytes(_compound(bofs[0] + b"".join(placed) + end + b"".join(bodies)))
+    path.write_bytes(_compound(bofs[0] + b"".join(placed_records) + end + b"".join(bodies)))
     return path
 
 
@@ -73,8 +73,8 @@ def _compound(stream: bytes) -> bytes:
 
 def _entry(name: str, kind: int, start: int, size: int, child: int = 0xFFFFFFFF) -> bytes:
     text = name.encode("utf-16-le").ljust(64, b"\0")
-    facts = struct.pack("<HBBIII", 2 * len(name) + 2, kind, 1, 0xFFFFFFFF, 0xFFFFFFFF, child)
-    return text + facts + bytes(36) + struct.pack("<IQ", start, size)
+    header = struct.pack("<HBBIII", 2 * len(name) + 2, kind, 1, 0xFFFFFFFF, 0xFFFFFFFF, child)
+    return text + header + bytes(36) + struct.pack("<IQ", start, size)
 
 
 def write_ods(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]], filler: str = "") -> Path:
@@ -254,7 +254,7 @@ def write_corpus(folder: Path) -> None:
     write_tdms(folder / "labview_settings_group.tdms", {"Settings": {"gain": [1.0, 2.0]}, "Run": COLUMNS})
 
 
-STATED = {
+DECLARED = {
     "columns": {"time": "t_s", "output": "output", "reference": "force"},
     "rows": ROWS,
     "rate_Hz": RATE_HZ,
@@ -263,10 +263,10 @@ STATED = {
     "output": [OUTPUT[0], OUTPUT[-1]],
     "reference": [FORCE[0], FORCE[-1]],
 }
-TIME = {**STATED["columns"], "time": "Time"}
+TIME = {**DECLARED["columns"], "time": "Time"}
 BINARY_FILES = [
-    {**STATED, "file": file, **facts}
-    for file, facts in {
+    {**DECLARED, "file": file, **fields}
+    for file, fields in {
         "excel.xlsx": {},
         "excel_header_in_row_7.xlsx": {},
         "excel_units_row.xlsx": {"columns": {**TIME, "time": "time"}, "units": {"output": "V", "force": "N"}},

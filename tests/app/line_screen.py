@@ -33,18 +33,18 @@ class Line:
         return order_id
 
     @property
-    def facts(self) -> LineStatus:
+    def status(self) -> LineStatus:
         return read_line(self.registry, Screen(STATION))
 
     def until(self, is_so: Callable[[], bool], what: str) -> None:
-        wait_until(is_so, lambda: f"{what}; {self.facts}")
+        wait_until(is_so, lambda: f"{what}; {self.status}")
 
     def clear(self) -> None:
         """Nothing runs, nothing stands still and no unit waits, whatever other tests left here."""
-        self.until(lambda: self.facts.is_answering and self.facts.active is None, "a run to end")
+        self.until(lambda: self.status.is_answering and self.status.active is None, "a run to end")
         for code in ("CMD:OK", "CMD:OK", "CMD:CANCEL"):
             take_scan(self.registry, Screen(STATION), code)
-        self.until(lambda: not self.facts.is_stopped and self.facts.may_press, "the station to be ready")
+        self.until(lambda: not self.status.is_stopped and self.status.may_press, "the station to be ready")
 
     def runs(self) -> int:
         """How many runs this station was ever ordered."""
@@ -72,29 +72,29 @@ def scan(page: Page, text: str, ending: str | None = "Enter") -> None:
     page.keyboard.press(ending)
 
 
-def shown(page: Page, *states: str, serial: str = "") -> Locator:
+def wait_for_card(page: Page, *states: str, serial: str = "") -> Locator:
     """Wait for the card in one of these states; where it never comes, say what stands there instead."""
-    wanted = card(page, *states).filter(has_text=serial)
+    matching_card = card(page, *states).filter(has_text=serial)
     try:
-        wanted.wait_for()
+        matching_card.wait_for()
     except PlaywrightTimeout:
-        stands = page.locator(".sc-card").first
-        state, says = stands.get_attribute("data-state"), stands.inner_text()
-        says += "".join(f"; note: {note}" for note in page.locator(".sc-note, [role=alert]").all_inner_texts())
+        first_card = page.locator(".sc-card").first
+        state, card_text = first_card.get_attribute("data-state"), first_card.inner_text()
+        card_text += "".join(f"; note: {note}" for note in page.locator(".sc-note, [role=alert]").all_inner_texts())
         raise AssertionError(
-            f"no {' or '.join(states)} of {serial or 'any unit'}; {state} stands there: {says}"
+            f"no {' or '.join(states)} of {serial or 'any unit'}; {state} stands there: {card_text}"
         ) from None
-    return wanted
+    return matching_card
 
 
 def press(page: Page, key: str, *states: str, serial: str = "") -> None:
     """Press a key once and wait for what comes of it."""
     page.keyboard.press(key)
-    shown(page, *states, serial=serial)
+    wait_for_card(page, *states, serial=serial)
 
 
 def verdict_of(page: Page, serial: str) -> str:
-    return str(shown(page, *VERDICTS, serial=serial).get_attribute("data-state"))
+    return str(wait_for_card(page, *VERDICTS, serial=serial).get_attribute("data-state"))
 
 
 FOCUS = "(document.activeElement.shadowRoot?.activeElement ?? document.activeElement).tagName"

@@ -49,10 +49,10 @@ def url(request, calibrated: str, require) -> Iterator[str]:
             admin.execute(text(f"CREATE DATABASE {name}"))
     except OperationalError:
         require(False, NO_POSTGRESQL)
-    made = engine.url.set(database=name).render_as_string(hide_password=False)
-    with open_registry(made) as registry:
+    database_url = engine.url.set(database=name).render_as_string(hide_password=False)
+    with open_registry(database_url) as registry:
         registry.lots.add(Lot("small", "A0", 50.0))
-    yield made
+    yield database_url
     with engine.connect() as admin:
         admin.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
 
@@ -72,7 +72,7 @@ class Flood:
 
     port: int
     attacks: tuple[Callable[["Flood"], None], ...]
-    done: int = 0
+    count: int = 0
 
     def __enter__(self) -> "Flood":
         self.over = threading.Event()
@@ -91,7 +91,7 @@ class Flood:
         while not self.over.is_set():
             with suppress(OSError, http.client.HTTPException):
                 draw.choice(self.attacks)(self)
-            self.done += 1
+            self.count += 1
 
     def ask(self, method: str, path: str, body: bytes | None = None, **headers: str) -> int:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
@@ -194,24 +194,24 @@ def test_the_rest_server_under_a_flood_serves_who_has_a_token_and_stays_as_large
                 cut_connections(url)
     # What is cut in the middle may be refused once, with the word when to ask again.
     assert answers.count(200) >= len(answers) - 2 and set(answers) <= {200, 503}, answers
-    assert flood.done > len(attacks) and max(writes_s) < 5
+    assert flood.count > len(attacks) and max(writes_s) < 5
     warm, last = sizes[len(sizes) // 3], sizes[-1]
     assert last[0] - warm[0] < 30 * MB and last[1] - warm[1] < 60, sizes
 
 
-def test_a_full_disk_and_a_file_that_grows_no_more_are_said_and_nothing_ends(server, url):
+def test_a_full_disk_and_a_file_that_grows_no_more_are_reported_and_nothing_ends(server, url):
     if not url.startswith("sqlite"):
         return
     port, pid, token = server
     flood = Flood(port, ())
-    asked = {"Authorization": f"Bearer {token}", "Content_Type": "application/json"}
+    headers = {"Authorization": f"Bearer {token}", "Content_Type": "application/json"}
     before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, before[1]))
-    full = [flood.ask("POST", "/v1/jobs", b'{"lot": "small"}', **asked) for _ in range(3)]
-    reads = flood.ask("GET", "/v1/lots", **asked)
+    full = [flood.ask("POST", "/v1/jobs", b'{"lot": "small"}', **headers) for _ in range(3)]
+    reads = flood.ask("GET", "/v1/lots", **headers)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
     assert set(full) == {503} and reads == 200
-    assert flood.ask("POST", "/v1/jobs/" + "0" * 32 + "/cancel", **asked) == 404
+    assert flood.ask("POST", "/v1/jobs/" + "0" * 32 + "/cancel", **headers) == 404
 
 
 def test_the_screens_under_a_flood_stay_as_large_as_they_are(calibrated, serve, tmp_path, monkeypatch):

@@ -55,12 +55,12 @@ def whole(bench: Path) -> Path:
 
 
 def test_one_row_for_each_row_of_the_stream(stream: Path, whole: Path) -> None:
-    rows, given = pd.read_csv(whole), pd.read_csv(stream)
+    rows, stream_rows = pd.read_csv(whole), pd.read_csv(stream)
     assert list(rows.columns) == ["t_s", "estimate", "lower", "upper", "flag"]
-    np.testing.assert_allclose(rows["t_s"], given["t_s"])
-    known = rows.dropna(subset=["estimate"])
-    assert len(known) == len(given) - 14
-    assert ((known["lower"] <= known["estimate"]) & (known["estimate"] <= known["upper"])).all()
+    np.testing.assert_allclose(rows["t_s"], stream_rows["t_s"])
+    estimated = rows.dropna(subset=["estimate"])
+    assert len(estimated) == len(stream_rows) - 14
+    assert ((estimated["lower"] <= estimated["estimate"]) & (estimated["estimate"] <= estimated["upper"])).all()
     assert set(rows["flag"].str.split("; ").str[-1]) <= {"unwatched", "held", "followed"}
 
 
@@ -137,9 +137,9 @@ def test_next_file_goes_on_where_the_last_one_ended(bench: Path, stream: Path, t
         assert adapt(bench, stream, tmp_path / f"{name}.csv", *more) == 0
 
     with open_registry(url(bench)) as registry:
-        kept = registry.adaptations.last(A1, 1, "hall-3")
-    assert kept is not None
-    assert kept["sample"] >= 2 * len(pd.read_csv(stream))
+        adaptation = registry.adaptations.last(A1, 1, "hall-3")
+    assert adaptation is not None
+    assert adaptation["sample"] >= 2 * len(pd.read_csv(stream))
     assert (tmp_path / "monday.csv").read_text().count("\n") == (tmp_path / "tuesday.csv").read_text().count("\n")
 
 
@@ -183,7 +183,7 @@ def test_figure_stands_alone(bench: Path, stream: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"t_s,output\n" + b"0.0,abc\n" * 40, "'output'"),
         (b"t_s,output\n0.0,0.5\n0.02,0.5\n", " 15"),
@@ -191,7 +191,7 @@ def test_figure_stands_alone(bench: Path, stream: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_recording_is_refused_in_one_line(
-    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, said: str
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, message: str
 ) -> None:
     (tmp_path / "in.csv").write_bytes(content)
 
@@ -199,7 +199,7 @@ def test_what_is_no_recording_is_refused_in_one_line(
 
     error = capsys.readouterr().err
     assert code == 2
-    assert said in error and error.count("\n") == 1
+    assert message in error and error.count("\n") == 1
     assert list(tmp_path.iterdir()) == [tmp_path / "in.csv"]
 
 
@@ -226,7 +226,7 @@ def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(bench: Path
         again = adapt_file(registry, "A1", stream, tmp_path / "third.csv", resumed)
         changes = [step for step in registry.adaptations.all(A1, "numbers") if step["event"] == "method"]
     (changed,) = report.changed
-    assert all(fact in changed for fact in ("drift.pace", "12.0", "13.0")) and again.changed == []
+    assert all(text in changed for text in ("drift.pace", "12.0", "13.0")) and again.changed == []
     assert len(changes) == 1 and changed in changes[0]["reason"]
     assert {step["method"] for step in course} == {DriftTracking().id, other.id}
     assert course[-1]["state"]["method"] == json.loads(json.dumps(other.to_json()))
@@ -248,18 +248,18 @@ def test_queues_are_mapped_and_their_maps_are_in_the_registry(
 
     assert adapt(bench, stream, tmp_path / "out.csv", "--mode", mode, "--queue", "200", "--json", str(report)) == 0
 
-    rows, given = pd.read_csv(tmp_path / "out.csv"), pd.read_csv(stream)
+    rows, stream_rows = pd.read_csv(tmp_path / "out.csv"), pd.read_csv(stream)
     assert list(rows.columns) == ["t_s", "estimate", "lower", "upper", "flag"]
-    np.testing.assert_allclose(rows["t_s"], given["t_s"])
-    known = rows.dropna(subset=["estimate"])
-    assert len(known) == len(given) - 14
-    assert ((known["lower"] <= known["estimate"]) & (known["estimate"] <= known["upper"])).all()
-    said = json.loads(report.read_text())
-    assert said["mode"] == mode
+    np.testing.assert_allclose(rows["t_s"], stream_rows["t_s"])
+    estimated = rows.dropna(subset=["estimate"])
+    assert len(estimated) == len(stream_rows) - 14
+    assert ((estimated["lower"] <= estimated["estimate"]) & (estimated["estimate"] <= estimated["upper"])).all()
+    content = json.loads(report.read_text())
+    assert content["mode"] == mode
     # Queues of 200 windows of random presses differ by chance: each swap is a step, and says so.
-    swaps = sum(said["verdicts"].get(name, 0) for name in ("followed", "unwatched"))
-    assert swaps == (len(given) - 14) // QUEUE - 1
-    assert said["method"]["numbers"]["online"]["queue"] == QUEUE
+    swaps = sum(content["verdicts"].get(name, 0) for name in ("followed", "unwatched"))
+    assert swaps == (len(stream_rows) - 14) // QUEUE - 1
+    assert content["method"]["numbers"]["online"]["queue"] == QUEUE
 
 
 @pytest.mark.parametrize("mode", QUEUES)
@@ -305,7 +305,7 @@ def test_next_file_goes_on_with_the_queue_of_the_last(bench: Path, stream: Path,
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         (("--mode", "ot", "--queue", "14"), "15"),
         (("--mode", "ot-improved", "--queue", "100000"), "100014 rows"),
@@ -313,13 +313,13 @@ def test_next_file_goes_on_with_the_queue_of_the_last(bench: Path, stream: Path,
     ],
 )
 def test_a_queue_that_cannot_be_is_refused_in_one_line(
-    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...], said: str
+    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...], message: str
 ) -> None:
     assert adapt(bench, stream, tmp_path / "out.csv", *more) == 2
 
     error = capsys.readouterr().err
     (line,) = (line for line in error.splitlines() if line.startswith("softcal"))
-    assert said in line
+    assert message in line
     assert not (tmp_path / "out.csv").exists()
 
 

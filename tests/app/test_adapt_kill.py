@@ -47,8 +47,8 @@ def log(bench: Path) -> list[str]:
 
 
 def command_of(bench: Path, target: Path, stream: str, *more: str) -> list[str]:
-    place = ["--registry", url(bench), "--serial", "A0", "-", "--out", str(target)]
-    return ["adapt", *place, "--stream", stream, *more]
+    options = ["--registry", url(bench), "--serial", "A0", "-", "--out", str(target)]
+    return ["adapt", *options, "--stream", stream, *more]
 
 
 def start(bench: Path, target: Path, stream: str, *more: str) -> "subprocess.Popen[str]":
@@ -105,9 +105,9 @@ def test_log_sent_again_after_a_kill_gives_the_rows_and_maps_of_one_run(
     assert run_whole(bench, target, "killed", log, "--resume") == 0
 
     assert target.read_bytes() == (tmp_path / "whole.csv").read_bytes()
-    named = [step | {"stream": "whole"} for step in maps(bench, "killed")]
-    assert named == maps(bench, "whole")
-    assert len({step["offset"] for step in named}) > 1
+    whole_steps = [step | {"stream": "whole"} for step in maps(bench, "killed")]
+    assert whole_steps == maps(bench, "whole")
+    assert len({step["offset"] for step in whole_steps}) > 1
 
 
 def test_stream_that_went_on_meanwhile_is_gone_on_with_from_the_kept_map(
@@ -115,12 +115,12 @@ def test_stream_that_went_on_meanwhile_is_gone_on_with_from_the_kept_map(
 ) -> None:
     target, cut = tmp_path / "live.csv", 2 * len(log) // 3
     kill_after(start(bench, target, "live"), target, log, cut)
-    held, before = rows_of(target), maps(bench, "live")
+    rows_before, before = rows_of(target), maps(bench, "live")
 
     assert run_whole(bench, target, "live", [log[0], *log[cut + 500 :]], "--resume") == 0
 
     rows = pd.read_csv(target)
-    assert rows_of(target) == held + len(log) - cut - 500
+    assert rows_of(target) == rows_before + len(log) - cut - 500
     assert rows["t_s"].is_monotonic_increasing and not rows["t_s"].duplicated().any()
     after = maps(bench, "live")
     assert after[: len(before)] == before

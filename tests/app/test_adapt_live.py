@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.operation.live import WIDTH, bar
+from softcal.app.operation.live import WIDTH, draw_level_bar
 from softcal.app.operation.sink import open_sink
 from softcal.app.operation.source import (
     RECONNECT_TIMEOUT_S,
@@ -96,8 +96,8 @@ def test_simulated_sensor_is_read_over_its_serial_protocol(bench: Path, tmp_path
     assert len(rows) > 300
     assert np.median(np.diff(rows["t_s"])) == pytest.approx(0.02, rel=0.05)
     with open_registry(f"sqlite:///{bench / 'registry.db'}") as registry:
-        kept = registry.adaptations.last(UnitKey("small", "A0"), 1, "sim")
-    assert kept is not None and kept["event"] == "checkpoint"
+        adaptation = registry.adaptations.last(UnitKey("small", "A0"), 1, "sim")
+    assert adaptation is not None and adaptation["event"] == "checkpoint"
 
 
 def test_a_live_file_is_not_overwritten(bench: Path, tmp_path: Path, piped: pd.DataFrame) -> None:
@@ -195,10 +195,10 @@ def test_readout_that_is_unplugged_is_listened_to_again_when_it_is_back() -> Non
     ]
 
     def plug() -> ScriptedReadout:
-        found = plugs.pop(0)
-        if isinstance(found, NoReply):
-            raise found
-        return found  # type: ignore[return-value]
+        plug = plugs.pop(0)
+        if isinstance(plug, NoReply):
+            raise plug
+        return plug  # type: ignore[return-value]
 
     clock = Clock()
     pieces = on_one_clock(reconnecting_samples(plug, clock), clock)
@@ -258,11 +258,11 @@ def test_header_of_a_pipe_says_which_columns_count() -> None:
 
 
 def test_bar_shows_interval_and_estimate() -> None:
-    line = bar(1.0, 0.5, 1.5, (0.0, 2.0))
+    line = draw_level_bar(1.0, 0.5, 1.5, (0.0, 2.0))
 
     assert len(line) == WIDTH
     assert line.index("-") == WIDTH // 4 and line[WIDTH // 2] == "█"
-    assert bar(float("nan"), 0, 0, (0, 1)).strip() == ""
+    assert draw_level_bar(float("nan"), 0, 0, (0, 1)).strip() == ""
 
 
 def test_live_source_must_be_of_a_known_kind(bench: Path, tmp_path: Path) -> None:

@@ -25,10 +25,10 @@ def test_a_measured_sensor_in_steady_operation_is_followed_and_no_third_is_harme
     source = LabelledRecording(OutputRecording("unit", t_s[first], output[first], 10.0), strain[first])
     network = fit_network(source, NetworkConfig(seed=0)).network
     calibration = source_state(source, network)
-    used = OutputRecording("unit", t_s[later], output[later], 10.0)
+    recording = OutputRecording("unit", t_s[later], output[later], 10.0)
 
-    still = estimate(network, calibration, used).estimate
-    followed = Adapter(network, calibration, source.unlabelled).advance(used.t_s, used.output).estimate
+    still = estimate(network, calibration, recording).estimate
+    followed = Adapter(network, calibration, source.unlabelled).advance(recording.t_s, recording.output).estimate
 
     truth = strain[later]
     assert rmse(followed, truth) <= ratio * rmse(still, truth)

@@ -25,22 +25,22 @@ DCC = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 
 def independent_rmse(audit: Path, estimate: Path) -> tuple[float, int]:
     """Return RMSE and rows by the files alone: what `estimate` wrote beside the reference of the audit."""
-    found, reference = pd.read_parquet(estimate).estimate, pd.read_csv(audit).reference
-    error = (found - reference).dropna()
+    estimated, reference = pd.read_parquet(estimate).estimate, pd.read_csv(audit).reference
+    error = (estimated - reference).dropna()
     return float(np.sqrt(np.mean(np.square(error)))), len(error)
 
 
 def estimated(url: str, audit: Path, out: Path) -> tuple[float, int]:
-    asked = ["estimate", "--registry", url, "--serial", audit.stem, str(audit), "--out", str(out)]
-    assert main(asked) == 0
+    command = ["estimate", "--registry", url, "--serial", audit.stem, str(audit), "--out", str(out)]
+    assert main(command) == 0
     return independent_rmse(audit, out)
 
 
 @pytest.fixture
 def batched(lot_folder, registry_url, tmp_path):
     file, table = tmp_path / "batch.json", tmp_path / "table.csv"
-    asked = ["batch", str(lot_folder), "--registry", registry_url, "--json", str(file), "--csv", str(table), *SMALL]
-    assert main(asked) in (0, 1)
+    command = ["batch", str(lot_folder), "--registry", registry_url, "--json", str(file), "--csv", str(table), *SMALL]
+    assert main(command) in (0, 1)
     with table.open() as rows:
         return json.loads(file.read_text()), {row["serial"]: row for row in csv.DictReader(rows)}
 
@@ -66,24 +66,26 @@ def test_every_surface_states_the_error_of_estimate_on_all_rows(batched, lot_fol
             assert scores["unscored"] == {"warm-up": TAPS - 1, "gap": 0}
             assert scores["own"]["own"]["rmse"] == unit["own_rmse"] and scores["own"]["own"]["rows"] < rows
             trace = on_screen[serial]
-            facts = build_certificate(UnitLoader(registry, ExportOptions(failed_too=True)).load(serial))
+            certificate = build_certificate(UnitLoader(registry, ExportOptions(failed_too=True)).load(serial))
             python = softcal.Unit.from_registry(registry, serial)
-            stated = {
+            rmse_by_surface = {
                 "table": float(table[serial]["after"]),
                 "list": units[serial]["after_rmse"],
                 "report": next(row.after_rmse for row in view.audited if row.serial == serial),
                 "figure": float(np.sqrt(np.mean((trace.estimate - trace.reference) ** 2))),
-                "certificate": facts.measured.rmse,
+                "certificate": certificate.measured.rmse,
                 "python": python.rmse(pd.read_csv(audit)),
                 "frame": python.to_frame().after_rmse[0],
             }
-            assert stated == pytest.approx(dict.fromkeys(stated, unit["after_rmse"]), rel=1e-12), serial
+            assert rmse_by_surface == pytest.approx(dict.fromkeys(rmse_by_surface, unit["after_rmse"]), rel=1e-12), (
+                serial
+            )
             why = registry.calibrations.get(serial).state.decision.measured.reasons
-            (said,) = [one.values for one in why if one.code == "statement"]
-            assert (said["lower"], said["upper"]) == (facts.measured.lower, facts.measured.upper)
+            (values,) = [one.values for one in why if one.code == "statement"]
+            assert (values["lower"], values["upper"]) == (certificate.measured.lower, certificate.measured.upper)
             numbers = [
                 float(one.findtext("si:real/si:value", "nan", DCC))
-                for one in ET.fromstring(certificate_xml(facts)).iterfind(".//dcc:quantity", DCC)
+                for one in ET.fromstring(certificate_xml(certificate)).iterfind(".//dcc:quantity", DCC)
                 if str(one.findtext("dcc:name/dcc:content", "", DCC)).startswith("Measured root mean square")
             ]
             assert numbers == [pytest.approx(rmse, rel=1e-6)]
@@ -93,12 +95,12 @@ def test_own_is_compared_on_the_rows_that_it_was_tested_on(batched, lot_folder, 
     """The last quarter by time: `estimate` on these rows over what the own network showed there."""
     report, table = batched
     for unit in report["units"]:
-        serial, own = unit["serial"], unit["audit_scores"]["own"]
+        serial, own_rmse = unit["serial"], unit["audit_scores"]["own"]
         estimated(registry_url, lot_folder / f"audit/{serial}.csv", tmp_path / "own.parquet")
-        found = pd.read_parquet(tmp_path / "own.parquet").estimate
-        error = (found - pd.read_csv(lot_folder / f"audit/{serial}.csv").reference)[-own["own"]["rows"] :]
+        estimates = pd.read_parquet(tmp_path / "own.parquet").estimate
+        error = (estimates - pd.read_csv(lot_folder / f"audit/{serial}.csv").reference)[-own_rmse["own"]["rows"] :]
         after = np.sqrt(np.mean(error**2))
-        assert own["after"]["rmse"] == pytest.approx(after, rel=1e-12)
+        assert own_rmse["after"]["rmse"] == pytest.approx(after, rel=1e-12)
         (ratio,) = [float(cell) for name, cell in table[serial].items() if name.startswith("after/own")]
         assert ratio == pytest.approx(after / unit["own_rmse"], rel=1e-9)
 
@@ -106,8 +108,8 @@ def test_own_is_compared_on_the_rows_that_it_was_tested_on(batched, lot_folder, 
 @pytest.mark.long
 def test_an_audited_unit_is_scored_with_the_corrected_map_that_estimate_uses(make_lot, registry_url, tmp_path):
     folder, file = make_lot(day_gain=1.2, limit_N=0.4), tmp_path / "batch.json"
-    asked = ["batch", str(folder), "--registry", registry_url, "--json", str(file), *SMALL, "--no-own"]
-    assert main(asked) in (0, 1)
+    command = ["batch", str(folder), "--registry", registry_url, "--json", str(file), *SMALL, "--no-own"]
+    assert main(command) in (0, 1)
     report = json.loads(file.read_text())
     assert report["release"]["corrected_by"] > 0
     audited = [unit for unit in report["units"] if unit["audited"]]

@@ -28,8 +28,8 @@ def test_only_what_was_measured_after_the_draw_was_drawn_before_it_was_measured(
         registry.recordings.add("small", registry.recordings.get(audits[plan.random[1]].sha256), "audit")
         sample = audited_sample(registry, "small")
         assert (sample.since, sample.before, sample.without_draw) == (1, 1, 1)
-        standing = read_lot_status(registry, "small")
-        assert build_lot_statement(registry, standing, standing.decided).sample == sample
+        status = read_lot_status(registry, "small")
+        assert build_lot_statement(registry, status, status.decided).sample == sample
 
 
 def test_a_second_draw_from_fewer_units_is_counted_among_the_units_of_the_lot(calibrated):

@@ -16,16 +16,16 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.db.connection import open_registry
 from softcal.db.entries import AuditRow, CellCertificate, GoldenRun
 
-SAY = partial(text, "en")
+TRANSLATE = partial(text, "en")
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 
 RULES = LineRules(target=40, loads=(KnownLoad(0.0), KnownLoad(2.0, 0.002)))
 
 
 def row(action: str, entity: str, key: object, after: object = None, before: object = None, **more: str) -> AuditRow:
-    kept = [None if values is None else json.dumps(values) for values in (before, after)]
-    made = AuditRow("o", 1, NOW, "Kim", action, entity, json.dumps(key), *kept, "because", "0" * 64, "1" * 64)
-    return replace(made, **more)
+    texts = [None if values is None else json.dumps(values) for values in (before, after)]
+    audit_row = AuditRow("o", 1, NOW, "Kim", action, entity, json.dumps(key), *texts, "because", "0" * 64, "1" * 64)
+    return replace(audit_row, **more)
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def busy(calibrated: str) -> str:
     return calibrated
 
 
-def stated_events() -> set[tuple[str, str]]:
+def read_events() -> set[tuple[str, str]]:
     """Read every `trail.add(action, entity, ...)` and `state(registry, entity, ..., action=)` of the application.
 
     What a page offers to take along is written down for it: it gives `exported = (entity, ...)`.
@@ -64,7 +64,7 @@ def stated_events() -> set[tuple[str, str]]:
     modules = {path: ast.parse(path.read_text("utf-8")) for path in sorted((root / "app").rglob("*.py"))}
     constants = {"softcal." + path.relative_to(root).with_suffix("").as_posix().replace("/", "."): _constants(module)
                  for path, module in modules.items()}  # fmt: skip
-    found = set()
+    events = set()
     for path, module in modules.items():
         imported = {
             name.name: constants[part.module][name.name]
@@ -73,28 +73,28 @@ def stated_events() -> set[tuple[str, str]]:
             for name in part.names
             if name.name in constants[part.module]
         }
-        known = imported | _constants(module)
+        texts_by_name = imported | _constants(module)
         for call in ast.walk(module):
             is_tuple = isinstance(call, ast.Assign) and isinstance(call.value, ast.Tuple)
             if is_tuple and ast.unparse(call.targets[0]) == "exported":
-                found |= {("export", entity) for entity in _words(call.value.elts[0], known)}
+                events |= {("export", entity) for entity in _texts_of(call.value.elts[0], texts_by_name)}
             if path.name == "actions.py" or not isinstance(call, ast.Call):
                 continue
             if ast.unparse(call.func).endswith("trail.add"):
-                actions, entities = (_words(part, known) for part in call.args[:2])
+                actions, entities = (_texts_of(part, texts_by_name) for part in call.args[:2])
             elif ast.unparse(call.func).endswith("declarations.declare"):
-                given = {word.arg: word.value for word in call.keywords}
-                actions = _words(given.get("action", ast.Constant("declare")), known)
-                entities = _words(call.args[0], known)
+                keywords = {word.arg: word.value for word in call.keywords}
+                actions = _texts_of(keywords.get("action", ast.Constant("declare")), texts_by_name)
+                entities = _texts_of(call.args[0], texts_by_name)
             else:
                 continue
-            found |= {(action, entity) for action in actions for entity in entities}
-    return found
+            events |= {(action, entity) for action in actions for entity in entities}
+    return events
 
 
 def _constants(module: ast.Module) -> dict[str, list[str]]:
     """Return the texts that names of a module stand for: one, or the two of a choice."""
-    known = {}
+    constants = {}
     for node in (node for node in ast.walk(module) if isinstance(node, ast.Assign)):
         target, value = node.targets[0], node.value
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
@@ -105,18 +105,18 @@ def _constants(module: ast.Module) -> dict[str, list[str]]:
             if isinstance(name, ast.Name):
                 choices = [part.body, part.orelse] if isinstance(part, ast.IfExp) else [part]
                 if all(isinstance(one, ast.Constant) and isinstance(one.value, str) for one in choices):
-                    known[name.id] = [one.value for one in choices]
-    return known
+                    constants[name.id] = [one.value for one in choices]
+    return constants
 
 
-def _words(part: ast.expr, known: dict[str, list[str]]) -> list[str]:
+def _texts_of(part: ast.expr, constants: dict[str, list[str]]) -> list[str]:
     if isinstance(part, ast.IfExp):
-        return [*_words(part.body, known), *_words(part.orelse, known)]
-    return [str(part.value)] if isinstance(part, ast.Constant) else known[part.id]  # type: ignore[attr-defined]
+        return [*_texts_of(part.body, constants), *_texts_of(part.orelse, constants)]
+    return [str(part.value)] if isinstance(part, ast.Constant) else constants[part.id]  # type: ignore[attr-defined]
 
 
 def test_every_event_that_the_application_states_has_a_sentence() -> None:
-    events = stated_events()
+    events = read_events()
     assert len(events) >= 12
     assert {("export", entity) for entity in ("audit_trail", "lots", "units")} <= events
     assert [pair for pair in sorted(events) if "trail.{}.{}".format(*pair) not in catalogue()["en"]] == []
@@ -128,30 +128,32 @@ def test_every_row_of_a_busy_registry_is_a_sentence_without_tables_and_hashes(bu
         rows = registry.trail.rows()
     entries = trail(rows, partial(text, language))
     assert {f"trail.{e.row.action}.{e.row.entity}" for e in entries} <= set(catalogue()["en"])
-    told = " ".join(f"{e.action_text} {e.changes_text}" for e in entries)
-    assert "sha256" not in told and "_id" not in told and not any(len(word) >= 32 for word in told.split())
+    sentences = " ".join(f"{e.action_text} {e.changes_text}" for e in entries)
+    assert (
+        "sha256" not in sentences and "_id" not in sentences and not any(len(word) >= 32 for word in sentences.split())
+    )
     assert {e.section for e in entries} <= set(HEADINGS)
 
 
 def test_a_change_says_what_was_before_and_after(busy: str) -> None:
     with open_registry(busy) as registry:
-        entries = trail(registry.trail.newest(100), SAY)
+        entries = trail(registry.trail.newest(100), TRANSLATE)
     limit = next(e for e in entries if e.row.action == "set_limit")
-    assert limit.action_text == SAY("trail.set_limit.limits", lot="small") and "0.3 → 0.25" in limit.changes_text
+    assert limit.action_text == TRANSLATE("trail.set_limit.limits", lot="small") and "0.3 → 0.25" in limit.changes_text
     rules = next(e for e in entries if e.row.action == "set_rules")
-    assert SAY("trail.field.target") in rules.changes_text and "40" in rules.changes_text
-    assert SAY("trail.field.loads") in rules.changes_text and "0, 2 ± 0.002" in rules.changes_text
+    assert TRANSLATE("trail.field.target") in rules.changes_text and "40" in rules.changes_text
+    assert TRANSLATE("trail.field.loads") in rules.changes_text and "0, 2 ± 0.002" in rules.changes_text
     person = next(e for e in entries if e.row.action == "set_user")
     assert "Engineer" in person.changes_text
 
 
 def test_a_row_that_nobody_foresaw_is_shown_and_not_lost() -> None:
-    entry = entry_of(row("bake", "cakes", ["sponge"], {"eggs": 3}), SAY)
+    entry = entry_of(row("bake", "cakes", ["sponge"], {"eggs": 3}), TRANSLATE)
     assert "bake" in entry.action_text and "sponge" in entry.action_text and entry.section == "registry"
 
 
 def test_a_limit_stands_in_the_trail_as_it_was_stated() -> None:
-    entry = entry_of(row("set_limit", "limits", ["L1", 2], {"lot_id": "L1", "rmse": 0.12345}), SAY)
+    entry = entry_of(row("set_limit", "limits", ["L1", 2], {"lot_id": "L1", "rmse": 0.12345}), TRANSLATE)
     assert [now for _, _, now in entry.changes] == ["0.12345"]
 
 
@@ -161,22 +163,22 @@ def test_the_filter_takes_what_it_says() -> None:
         row("set_user", "users", ["Lee"], {"role": "engineer"}, actor="Quinn"),
         row("export", "units", ["A1"], {"file": "a.pdf"}, at=NOW - timedelta(days=3)),
     ]
-    entries = trail(rows, SAY)
+    entries = trail(rows, TRANSLATE)
 
-    def taken(**wanted) -> list[str]:
-        return [e.row.action for e in entries if TrailFilter(**wanted).takes(e)]
+    def actions_taken(**query) -> list[str]:
+        return [e.row.action for e in entries if TrailFilter(**query).takes(e)]
 
-    assert taken() == ["set_limit", "set_user", "export"]
-    assert taken(text="LIMIT l1") == ["set_limit"] and taken(text="limit lee") == []
-    assert taken(actors=("Quinn",)) == ["set_user"]
-    assert taken(sections=("papers",)) == ["export"]
-    assert taken(since=NOW - timedelta(days=1)) == ["set_limit", "set_user"]
-    assert taken(until=NOW - timedelta(days=1)) == ["export"]
+    assert actions_taken() == ["set_limit", "set_user", "export"]
+    assert actions_taken(text="LIMIT l1") == ["set_limit"] and actions_taken(text="limit lee") == []
+    assert actions_taken(actors=("Quinn",)) == ["set_user"]
+    assert actions_taken(sections=("papers",)) == ["export"]
+    assert actions_taken(since=NOW - timedelta(days=1)) == ["set_limit", "set_user"]
+    assert actions_taken(until=NOW - timedelta(days=1)) == ["export"]
 
 
 def test_every_field_and_heading_has_its_word() -> None:
-    words = {f"trail.field.{name}" for name in FIELDS} | {f"trail.section.{name}" for name in HEADINGS}
-    assert words <= set(catalogue()["en"])
+    keys = {f"trail.field.{name}" for name in FIELDS} | {f"trail.section.{name}" for name in HEADINGS}
+    assert keys <= set(catalogue()["en"])
     assert set(SECTIONS.values()) <= set(HEADINGS)
 
 
@@ -189,7 +191,7 @@ def test_the_page_is_searched_and_shows_the_row_itself_only_when_asked(busy: str
     screen = open_page(busy, page, role="quality")
     assert not screen.exception and not screen.error and not screen.code
     screen.text_input(key="trail-find").set_value("drawing revision").run()
-    (found,) = [frame.value for frame in screen.dataframe]
-    assert len(found) == 1 and "0.3 → 0.25" in str(found.iloc[0].tolist())
+    (table,) = [frame.value for frame in screen.dataframe]
+    assert len(table) == 1 and "0.3 → 0.25" in str(table.iloc[0].tolist())
     screen.multiselect(key="trail-actor").set_value(["Erin"]).run()
     assert not screen.dataframe and screen.caption

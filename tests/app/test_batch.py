@@ -47,8 +47,8 @@ def test_every_unit_gets_a_verdict_that_is_logged_and_the_audit_confirms_the_map
     lines = [json.loads(line) for line in path.read_text().splitlines()]
     assert len({line["run"] for line in lines}) == 1
     assert [line["event"] for line in lines] == ["begun", *["unit"] * 3, "ended"] and lines[-1]["code"] == code
-    told = {line["serial"]: line["verdict"] for line in lines[1:-1]}
-    assert told == {unit["serial"]: unit["verdict"] for unit in report["units"]}
+    verdicts = {line["serial"]: line["verdict"] for line in lines[1:-1]}
+    assert verdicts == {unit["serial"]: unit["verdict"] for unit in report["units"]}
 
 
 def test_a_second_run_fits_nothing_again(lot_folder: Path, url: str) -> None:
@@ -146,10 +146,10 @@ def test_estimates_have_a_row_per_sample_inside_their_interval(lot_folder: Path,
     truth, rows = pd.read_csv(recording), pd.read_csv(out)
     assert list(rows.columns) == ["t_s", "estimate", "lower", "upper", "flag"]
     assert len(rows) == len(truth)
-    known = rows["estimate"].notna()
-    assert (rows.lower <= rows.estimate)[known].all() and (rows.estimate <= rows.upper)[known].all()
-    assert rows.flag[~known].eq("warm-up").all()
-    assert np.sqrt(np.mean((rows.estimate - truth.reference)[known] ** 2)) < 0.3
+    has_estimate = rows["estimate"].notna()
+    assert (rows.lower <= rows.estimate)[has_estimate].all() and (rows.estimate <= rows.upper)[has_estimate].all()
+    assert rows.flag[~has_estimate].eq("warm-up").all()
+    assert np.sqrt(np.mean((rows.estimate - truth.reference)[has_estimate] ** 2)) < 0.3
 
 
 BROKEN = (
@@ -166,12 +166,12 @@ def test_a_recording_that_cannot_be_used_leaves_no_estimate(
 ) -> None:
     _batch(lot_folder, url, "--no-own")
     path, out = tmp_path / "in.csv", tmp_path / "o.csv"
-    for content, fact in BROKEN:
+    for content, text in BROKEN:
         capsys.readouterr()
         path.write_text(content)
         assert main(["estimate", "--registry", url, "--serial", "A1", str(path), "--out", str(out)]) == 2
-        said = capsys.readouterr().err.strip()
-        assert fact in said and len(said.splitlines()) == 1
+        stderr = capsys.readouterr().err.strip()
+        assert text in stderr and len(stderr.splitlines()) == 1
         assert not out.exists()
 
 

@@ -61,7 +61,7 @@ def fits(url: str) -> list[tuple[str, bool]]:
     return [(str(serial), json.loads(content)["lot_fit"] is not None) for serial, content in rows]
 
 
-def kept(url: str) -> dict[str, int]:
+def count_fits(url: str) -> dict[str, int]:
     """How often every unit was fitted by itself."""
     return Counter(serial for serial, is_of_lot in fits(url) if not is_of_lot)
 
@@ -83,18 +83,18 @@ def children_of(pid: int) -> list[int]:
 
 def test_a_batch_that_is_killed_goes_on_at_once_and_repeats_nothing(folder: Path, registry_url: str) -> None:
     process = start(folder, registry_url, "--jobs", "2")
-    wait_until(lambda: len(kept(registry_url)) >= 2)
+    wait_until(lambda: len(count_fits(registry_url)) >= 2)
     workers = children_of(process.pid)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    before = kept(registry_url)
+    before = count_fits(registry_url)
     assert workers and len(before) < UNITS
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), within_s=10.0)
     report = folder.parent / "report.json"
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own", "--json", str(report)]) in (0, 1)
     units = json.loads(report.read_text())["units"]
     assert [unit["is_new"] for unit in units].count(False) == len(before)
-    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert count_fits(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
     assert_one_lot_fit(registry_url)
 
 
@@ -116,13 +116,13 @@ main({command})
     for _ in range(2):
         dead = subprocess.run([sys.executable, "-c", lines], capture_output=True, check=False)
         assert dead.returncode == -signal.SIGKILL, dead.stderr.decode()
-        assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+        assert count_fits(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
         if module == "lot_fit":
             assert not any(is_of_lot for _, is_of_lot in fits(registry_url)), "half a lot fit was kept"
     for _ in range(2):
         assert main(command) in (0, 1)
         assert_one_lot_fit(registry_url)
-    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert count_fits(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
 
 
 def test_a_batch_goes_on_where_another_made_the_lot_fit_meanwhile(
@@ -160,7 +160,7 @@ def test_two_batches_share_a_lot(folder: Path, registry_url: str, tmp_path: Path
     processes = [start(folder, registry_url, "--json", str(report)) for report in reports]
     assert all(process.wait(120) in (0, 1) for process in processes)
     first, second = (json.loads(report.read_text())["units"] for report in reports)
-    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert count_fits(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
     assert_one_lot_fit(registry_url)
     assert [unit["map"] for unit in first] == [unit["map"] for unit in second]
     assert all(a["is_new"] != b["is_new"] for a, b in zip(first, second, strict=True))
@@ -203,34 +203,34 @@ def test_a_unit_that_kills_its_worker_is_named_and_the_rest_is_done(
     with open_registry(registry_url) as registry:
         report = run_batch(open_lot_folder(folder), registry, config)
         assert registry.verify() == []
-    lost = {unit.serial: unit.reasons for unit in report.units if unit.calibration is None}
-    assert list(lost) == ["A5"] and len(lost["A5"]) == 1
-    assert len(kept(registry_url)) == UNITS - 1
+    uncalibrated = {unit.serial: unit.reasons for unit in report.units if unit.calibration is None}
+    assert list(uncalibrated) == ["A5"] and len(uncalibrated["A5"]) == 1
+    assert len(count_fits(registry_url)) == UNITS - 1
 
 
 def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(
     folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), score_own=False)
-    taken: list[int] = []
+    claims: list[int] = []
     with open_registry(registry_url) as registry, open_registry(registry_url) as other:
 
         def steal(shared, chunk):
             # Somebody else holds the items by the time the result is there.
-            if not taken:
+            if not claims:
                 with other.database.writing() as connection:
-                    taken.append(connection.exec_driver_sql("UPDATE work_items SET owner = 'x:1:y'").rowcount)
+                    claims.append(connection.exec_driver_sql("UPDATE work_items SET owner = 'x:1:y'").rowcount)
             outcome = unit_work.work_on(shared, chunk)
-            if len(taken) == 1:
+            if len(claims) == 1:
                 with other.database.writing() as connection:
                     connection.exec_driver_sql("UPDATE work_items SET state = 'queued' WHERE owner = 'x:1:y'")
-                taken.append(0)
+                claims.append(0)
             return outcome
 
         monkeypatch.setattr("softcal.app.batch.lot_work.work_on", steal)
         report = run_batch(open_lot_folder(folder), registry, config)
     assert len(report.units) == UNITS
-    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert count_fits(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
     assert_one_lot_fit(registry_url)
 
 
@@ -256,15 +256,15 @@ def test_every_file_is_read_once_and_nothing_made_is_read_back(
         run_batch(open_lot_folder(folder), registry, config)
     files = [f"units/A{k}.csv" for k in range(1, UNITS + 1)] + [f"audit/A{k}.csv" for k in (1, 2, 3)]
     assert sorted(read) == sorted(files)
-    assert len(kept(registry_url)) == UNITS
+    assert len(count_fits(registry_url)) == UNITS
 
 
 def test_a_lot_that_is_not_held_whole_is_calibrated_whole(
     folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lot_work, "HELD_BYTES", 1)
+    monkeypatch.setattr(lot_work, "MAX_UNREAD_BYTES", 1)
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
-    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert count_fits(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
     assert_one_lot_fit(registry_url)
 
 
@@ -274,7 +274,7 @@ def test_files_that_change_become_new_work(folder: Path, registry_url: str) -> N
     unit.to_csv(folder / "units/A3.csv", index=False, float_format="%.17g")
     np.testing.assert_array_equal(pd.read_csv(folder / "units/A3.csv").output, unit.output)
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
-    counts = kept(registry_url)
+    counts = count_fits(registry_url)
     assert counts == {f"A{k}": 1 + (k == 3) for k in range(1, UNITS + 1)}
     assert_one_lot_fit(registry_url)
     with open_registry(registry_url, create=False) as registry:

@@ -14,7 +14,7 @@ QUALITY_ONLY = "audit_trail"
 
 
 @pytest.fixture(scope="module")
-def desk(
+def office(
     small_calibrated: Path, tmp_path_factory: pytest.TempPathFactory, serve: Callable, add_everybody: Callable
 ) -> Iterator[str]:
     """The address of the application on a registry with one calibrated lot and one person of each role."""
@@ -25,29 +25,29 @@ def desk(
         yield screen.address
 
 
-def test_a_lot_and_a_unit_are_shown(desk: str, page: Page) -> None:
-    page.goto(f"{desk}/lot")
+def test_a_lot_and_a_unit_are_shown(office: str, page: Page) -> None:
+    page.goto(f"{office}/lot")
     page.get_by_role("heading", name=text("en", "lot.distribution")).wait_for()
-    page.goto(f"{desk}/unit?unit=A2")
+    page.goto(f"{office}/unit?unit=A2")
     page.get_by_role("heading", name=text("en", "unit.why")).wait_for()
     page.get_by_role("tab", name=text("en", "tab.history")).click()
     page.wait_for_url("**tab=history*")
 
 
-def test_an_address_that_was_leads_on_and_asks_for_the_role_it_needs(desk: str, page: Page) -> None:
-    page.goto(f"{desk}/{QUALITY_ONLY}")
+def test_an_address_that_was_leads_on_and_asks_for_the_role_it_needs(office: str, page: Page) -> None:
+    page.goto(f"{office}/{QUALITY_ONLY}")
     page.wait_for_url("**/settings?tab=audit_trail")
     page.get_by_label(text("en", "sign_in.pin"), exact=True).fill("7777")
     page.get_by_label(text("en", "sign_in.name"), exact=True).fill("Quinn")
     page.keyboard.press("Enter")
     page.get_by_test_id("stDataFrame").wait_for()
-    page.goto(f"{desk}/wall?lot=small")
+    page.goto(f"{office}/wall?lot=small")
     page.locator(".sw-tile").first.wait_for()
 
 
-def test_the_bar_fits_a_narrow_window_and_its_search_opens_a_unit(desk: str, page: Page) -> None:
+def test_the_bar_fits_a_narrow_window_and_its_search_opens_a_unit(office: str, page: Page) -> None:
     page.set_viewport_size({"width": 820, "height": 900})
-    page.goto(f"{desk}/lots")
+    page.goto(f"{office}/lots")
     for name in ("line", "lots", "gap", "station", "settings"):
         expect(page.get_by_role("link", name=text("en", f"page.{name}"), exact=True)).to_be_in_viewport()
     person = page.get_by_role("button", name=text("en", "sign_in"))
@@ -59,31 +59,31 @@ def test_the_bar_fits_a_narrow_window_and_its_search_opens_a_unit(desk: str, pag
     page.get_by_role("heading", name="A2").wait_for()
 
 
-def test_a_serial_in_a_table_opens_in_a_new_tab(desk: str, page: Page) -> None:
-    page.goto(f"{desk}/lots")
+def test_a_serial_in_a_table_opens_in_a_new_tab(office: str, page: Page) -> None:
+    page.goto(f"{office}/lots")
     with page.context.expect_page() as opened:
         page.get_by_role("link", name="small", exact=True).click()
     opened.value.wait_for_url("**/lot?lot=small")
 
 
-def test_a_sign_in_outlives_a_reload_and_ends_with_the_sign_out(desk: str, page: Page, sign_in: Callable) -> None:
-    sign_in(desk, "quality")
-    page.goto(f"{desk}/{QUALITY_ONLY}")
+def test_a_sign_in_outlives_a_reload_and_ends_with_the_sign_out(office: str, page: Page, sign_in: Callable) -> None:
+    sign_in(office, "quality")
+    page.goto(f"{office}/{QUALITY_ONLY}")
     page.get_by_test_id("stDataFrame").wait_for()
     page.get_by_role("button", name="Quinn").click()
     page.get_by_role("button", name=text("en", "sign_in.leave")).click()
     page.get_by_role("heading", name=text("en", "sign_in")).wait_for()
-    page.goto(f"{desk}/{QUALITY_ONLY}")
+    page.goto(f"{office}/{QUALITY_ONLY}")
     page.get_by_label(text("en", "sign_in.pin"), exact=True).wait_for()
 
 
-def test_the_language_is_taken_from_the_address(desk: str, page: Page) -> None:
-    page.goto(f"{desk}/lot?lang=ko")
+def test_the_language_is_taken_from_the_address(office: str, page: Page) -> None:
+    page.goto(f"{office}/lot?lang=ko")
     page.get_by_role("heading", name=text("ko", "lot.distribution")).wait_for()
 
 
-def test_a_chosen_language_outlives_a_reload(desk: str, page: Page, remembered: Callable) -> None:
-    page.goto(f"{desk}/sign_in")
+def test_a_chosen_language_outlives_a_reload(office: str, page: Page, remembered: Callable) -> None:
+    page.goto(f"{office}/sign_in")
     page.get_by_role("combobox").first.click()
     page.get_by_role("option", name="한국어").click()
     page.get_by_role("heading", name=text("ko", "sign_in")).wait_for()
@@ -92,12 +92,12 @@ def test_a_chosen_language_outlives_a_reload(desk: str, page: Page, remembered: 
     page.get_by_role("heading", name=text("ko", "sign_in")).wait_for()
 
 
-def test_a_pin_that_is_left_with_the_tab_key_reaches_the_registry(desk: str, page: Page, sign_in: Callable) -> None:
-    sign_in(desk, "quality")
-    page.goto(f"{desk}/people")
+def test_a_pin_that_is_left_with_the_tab_key_reaches_the_registry(office: str, page: Page, sign_in: Callable) -> None:
+    sign_in(office, "quality")
+    page.goto(f"{office}/people")
     page.get_by_label(text("en", "sign_in.name"), exact=True).fill("Nam")
-    asked = {"sign_in.new_pin": "2580", "sign_in.pin_again": "2580", "column.reason": "works on the line"}
-    for label, typed in asked.items():
+    fields = {"sign_in.new_pin": "2580", "sign_in.pin_again": "2580", "column.reason": "works on the line"}
+    for label, typed in fields.items():
         page.get_by_label(text("en", label)).fill(typed)
         page.keyboard.press("Tab")
     page.get_by_role("button", name=text("en", "people.save")).click()

@@ -45,7 +45,7 @@ SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
 BAD = 0
 LOT = Lot("L1", "S0", 50.0, limit_rmse=2.0)
 NETWORK = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
-FACTS = LotContext((SimpleNamespace(network=NETWORK, method=Method()),))
+LOT_CONTEXT = LotContext((SimpleNamespace(network=NETWORK, method=Method()),))
 
 
 def input_of(serial: str, number: int) -> str:
@@ -96,7 +96,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
     def two_registries(self) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="softcal-machine-"))
         self.names, self.ticks = itertools.count(), itertools.count(1)
-        self.seen = {side: {serial: set() for serial in SERIALS} for side in SIDES}
+        self.events = {side: {serial: set() for serial in SERIALS} for side in SIDES}
         self.files = {side: {} for side in SIDES}
         self.broken_off: set[str] = set()
         self.registries = {}
@@ -114,24 +114,24 @@ class OneAnswerMachine(RuleBasedStateMachine):
         return open_registry(f"sqlite:///{path}", RegistrySettings(clock=self.clock))
 
     def heads(self, side: str, serial: str) -> set[Event]:
-        known = {event for event in self.seen[side][serial] if event.number is not None}
-        return known - {parent for event in known for parent in event.parents}
+        numbered = {event for event in self.events[side][serial] if event.number is not None}
+        return numbered - {parent for event in numbered for parent in event.parents}
 
     def state(self, side: str, serial: str, number: int, asked: int | None, work: int | None) -> None:
         event = Event(next(self.ticks), number, frozenset(self.heads(side, serial)), asked, work)
-        self.seen[side][serial].add(event)
+        self.events[side][serial].add(event)
 
-    def put(self, side: str, serial: str, number: int, work: int | None) -> None:
+    def store(self, side: str, serial: str, number: int, work: int | None) -> None:
         """What a batch or a line does with a recording."""
-        seen, heads = self.seen[side][serial], self.heads(side, serial)
+        events, heads = self.events[side][serial], self.heads(side, serial)
         # Whoever asked for a number first has made its map.
-        if number not in {event.asked for event in seen}:
+        if number not in {event.asked for event in events}:
             self.state(side, serial, number, number, work)
             return
         if len({head.number for head in heads}) > 1:
             return
-        last = max((event for event in seen if event.asked is not None), key=lambda event: event.at)
-        refused = max((event.at for event in seen if event.number is None), default=0)
+        last = max((event for event in events if event.asked is not None), key=lambda event: event.at)
+        refused = max((event.at for event in events if event.number is None), default=0)
         is_again = last.asked == number and refused < last.at
         if not (is_again and work in (None, last.work)):
             self.state(side, serial, next(iter(heads)).number if is_again else number, number, work)
@@ -159,35 +159,37 @@ class OneAnswerMachine(RuleBasedStateMachine):
         # A batch that was broken off leaves work in the queue that nobody may need any more.
         assert side in self.broken_off or sorted(worked) == sorted(undecided)
         for serial in files:
-            self.answered(side, serial)
+            self.answer_batch(side, serial)
         assert {serial: result.verdict for serial, result in results.items()} == {
             s: self.verdict(side, s) for s in files
         }
 
-    def work(self, folder: LotFolder, side: str, config: BatchConfig, watch: Callbacks) -> LotWork:
+    def work(self, folder: LotFolder, side: str, config: BatchConfig, callbacks: Callbacks) -> LotWork:
         registry = self.registries[side]
-        return LotWork(folder, registry, FACTS, StoredInputs(registry, LOT.id, list(folder.unit_paths)), config, watch)
+        return LotWork(
+            folder, registry, LOT_CONTEXT, StoredInputs(registry, LOT.id, list(folder.unit_paths)), config, callbacks
+        )
 
     def is_to_be_worked_on(self, side: str, serial: str) -> bool:
         """Whether a batch has to read the unit's file: nothing that is known answers it."""
-        number, seen = self.files[side][serial], self.seen[side][serial]
-        was_calibrated = any(event.work == number and event.asked == number for event in seen)
+        number, events = self.files[side][serial], self.events[side][serial]
+        was_calibrated = any(event.work == number and event.asked == number for event in events)
         return self.newest_work(side, serial) != number and not was_calibrated
 
     def newest_work(self, side: str, serial: str) -> int | None:
         """The file that the newest result answers."""
-        results = [event for event in self.seen[side][serial] if event.number is None or event.asked is not None]
+        results = [event for event in self.events[side][serial] if event.number is None or event.asked is not None]
         newest = max(results, key=lambda event: event.at, default=None)
         return None if newest is None else newest.work
 
-    def answered(self, side: str, serial: str) -> None:
+    def answer_batch(self, side: str, serial: str) -> None:
         """What a batch that comes to a unit does."""
         number = self.files[side][serial]
         if self.newest_work(side, serial) != number:
             if number == BAD:
-                self.seen[side][serial].add(Event(next(self.ticks), None, frozenset(), None, BAD))
+                self.events[side][serial].add(Event(next(self.ticks), None, frozenset(), None, BAD))
             else:
-                self.put(side, serial, number, number)
+                self.store(side, serial, number, number)
 
     @rule(side=st.sampled_from(SIDES), number=st.integers(0, 2))
     def batch_that_is_broken_off(self, side: str, number: int) -> None:
@@ -199,27 +201,27 @@ class OneAnswerMachine(RuleBasedStateMachine):
             files[serial] = number
         paths = {serial: self.folder / side / f"{serial}.csv" for serial in files}
         folder = LotFolder(lot=LOT, root=self.folder / side, source_path=self.folder, unit_paths=paths, audit_paths={})
-        kept: list[str] = []
+        stored_serials: list[str] = []
 
         def end(result) -> None:
-            kept.append(result.serial)
+            stored_serials.append(result.serial)
             raise KeyboardInterrupt
 
         # What was asked for by the same file before is put into use before anything is queued.
-        asked_before = [s for s in files if any(e.work == number and e.asked == number for e in self.seen[side][s])]
+        asked_before = [s for s in files if any(e.work == number and e.asked == number for e in self.events[side][s])]
         with mock.patch.object(lot_work, "work_on", fake_work), contextlib.suppress(KeyboardInterrupt):
             self.work(folder, side, BatchConfig(chunk=1), Callbacks(on_unit=end)).run()
-        for serial in (*asked_before, *kept):
-            self.answered(side, serial)
+        for serial in (*asked_before, *stored_serials):
+            self.answer_batch(side, serial)
 
     @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), number=st.integers(1, 2))
     def press(self, side: str, serial: str, number: int) -> None:
-        registry, asked = self.registries[side], input_of(serial, number)
-        if registry.calibrations.find(serial, asked, lot_id="L1") is None:
-            registry.calibrations.add("L1", unit_state(serial, number), input_sha256=asked)
+        registry, input_id = self.registries[side], input_of(serial, number)
+        if registry.calibrations.find(serial, input_id, lot_id="L1") is None:
+            registry.calibrations.add("L1", unit_state(serial, number), input_sha256=input_id)
         else:
-            registry.calibrations.put_in_use("L1", serial, asked, "line")
-        self.put(side, serial, number, None)
+            registry.calibrations.put_in_use("L1", serial, input_id, "line")
+        self.store(side, serial, number, None)
 
     @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), which=st.integers(0, 5))
     def roll_back(self, side: str, serial: str, which: int) -> None:
@@ -241,8 +243,8 @@ class OneAnswerMachine(RuleBasedStateMachine):
     def sync(self) -> None:
         report = synchronise(*self.registries.values())
         for serial in SERIALS:
-            seen = self.seen["station"][serial] | self.seen["centre"][serial]
-            self.seen["station"][serial], self.seen["centre"][serial] = set(seen), set(seen)
+            events = self.events["station"][serial] | self.events["centre"][serial]
+            self.events["station"][serial], self.events["centre"][serial] = set(events), set(events)
         parted = [serial for serial in SERIALS if len({head.number for head in self.heads("centre", serial)}) > 1]
         assert len(report.conflicts) == len(parted)
 
@@ -255,10 +257,10 @@ class OneAnswerMachine(RuleBasedStateMachine):
         self.registries[side] = self.opened(path)
 
     def verdict(self, side: str, serial: str) -> str | None:
-        heads, seen = self.heads(side, serial), self.seen[side][serial]
-        if not seen:
+        heads, events = self.heads(side, serial), self.events[side][serial]
+        if not events:
             return None
-        is_refused = max(seen, key=lambda event: event.at).number is None
+        is_refused = max(events, key=lambda event: event.at).number is None
         return "retest" if is_refused or len({head.number for head in heads}) > 1 else "pass"
 
     @invariant()
@@ -269,11 +271,11 @@ class OneAnswerMachine(RuleBasedStateMachine):
                 assert listed.get(serial) == self.verdict(side, serial)
                 numbers = {head.number for head in self.heads(side, serial)}
                 try:
-                    used = {round(registry.calibrations.get(serial).state.fit.fitted.unit_map.gain - 1)}
+                    numbers_in_use = {round(registry.calibrations.get(serial).state.fit.fitted.unit_map.gain - 1)}
                 except InputError:
                     assert len(numbers) != 1
                 else:
-                    assert used == numbers
+                    assert numbers_in_use == numbers
 
     def teardown(self) -> None:
         for registry in getattr(self, "registries", {}).values():

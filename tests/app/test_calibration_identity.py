@@ -55,7 +55,7 @@ def run_store(registry: Registry) -> RunStore:
     return RunStore(registry, "s1", NetworkConfig(hidden=(16, 8)))
 
 
-def pressed(folder: Path, serial: str) -> StationRecording:
+def run_of_file(folder: Path, serial: str) -> StationRecording:
     """Return the run of a unit as a station gives it, made from the lot's own file."""
     table = pd.read_csv(folder / "units" / f"{serial}.csv")
     t_s, output = table["t_s"].to_numpy(), table["output"].to_numpy()
@@ -67,9 +67,9 @@ def pressed(folder: Path, serial: str) -> StationRecording:
 def test_a_recording_says_by_which_method_a_station_proved_it(lot_folder, registry_url, tmp_path, registry, run_store):
     shutil.rmtree(lot_folder / "audit")
     batched(lot_folder, registry_url, tmp_path / "brought.json")
-    proven = replace(pressed(lot_folder, "A1"), proof_method=METHOD.id)
+    proven = replace(run_of_file(lot_folder, "A1"), proof_method=METHOD.id)
     proven = replace(proven, output=np.round(1.01 * proven.output, 7))
-    run_store.store(Order("o1", "s1", OrderKind.UNIT, "A1", "small"), proven, say)
+    run_store.store(Order("o1", "s1", OrderKind.UNIT, "A1", "small"), proven, ignore_progress)
     entries = registry.recordings.of_lot("small", kind="unit")
     assert {(e.serial, e.proof_method) for e in entries if e.proof_method} == {("A1", METHOD.id)}
     assert len(entries) > 1
@@ -79,10 +79,13 @@ def test_a_recording_says_by_which_method_a_station_proved_it(lot_folder, regist
     )
     revisions = json.loads((tmp_path / "h.json").read_text())["revisions"]
     assert [revision["proof_method"] for revision in revisions] == [None, METHOD.id]
-    pressed_unit, brought = UnitLoader(registry, ExportOptions()).load("A1"), UnitLoader(registry, ExportOptions())
-    named = "method that proved the unit's recording"
-    assert build_certificate(pressed_unit).provenance.inputs[named] == METHOD.id
-    assert named not in build_certificate(brought.load("A2")).provenance.inputs
+    pressed_unit, imported_unit = (
+        UnitLoader(registry, ExportOptions()).load("A1"),
+        UnitLoader(registry, ExportOptions()),
+    )
+    label = "method that proved the unit's recording"
+    assert build_certificate(pressed_unit).provenance.inputs[label] == METHOD.id
+    assert label not in build_certificate(imported_unit.load("A2")).provenance.inputs
 
 
 def batched(folder: Path, url: str, out: Path, *more: str) -> dict[str, dict[str, object]]:
@@ -94,10 +97,10 @@ def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
     lot_folder, registry_url, tmp_path, registry, run_store
 ):
     shutil.rmtree(lot_folder / "audit")
-    runs = {serial: pressed(lot_folder, serial) for serial in ("A1", "A2", "A3")}
+    runs = {serial: run_of_file(lot_folder, serial) for serial in ("A1", "A2", "A3")}
     for serial, run in runs.items():
-        run_store.store(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, say)
-    made = {serial: registry.calibrations.get(serial) for serial in runs}
+        run_store.store(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, ignore_progress)
+    calibrations = {serial: registry.calibrations.get(serial) for serial in runs}
     for serial, run in runs.items():
         unit = run.output_recording()
         columns = [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
@@ -108,7 +111,7 @@ def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
         synchronise(one, other)
     there = batched(lot_folder, other_url, tmp_path / "there.json")
     with open_registry(other_url) as registry:
-        for serial, stored in made.items():
+        for serial, stored in calibrations.items():
             (only,) = registry.calibrations.history(serial)
             assert (only.revision, only.input_sha256) == (1, stored.input_sha256)
             assert only.state.fit.fit_s and only.state.fit.fit_s > 0
@@ -120,10 +123,10 @@ def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
                 assert report[serial]["verdict"] == stored.state.verdict
 
 
-KNOWN = ("nothing", "spread of the line", "audit", "loads", "golden run", "another source")
+ADDED_KNOWLEDGE = ("nothing", "spread of the line", "audit", "loads", "golden run", "another source")
 
 
-def let_be_known(what: str, folder: Path, press_unit) -> None:
+def add_to_folder(what: str, folder: Path, press_unit) -> None:
     """Leave in a lot folder unit A1 and one kind of fact about it."""
     for serial in ("A2", "A3"):
         (folder / "units" / f"{serial}.csv").unlink()
@@ -143,39 +146,47 @@ def let_be_known(what: str, folder: Path, press_unit) -> None:
         press_unit(1500, 1.2, 0.55, 12).to_csv(folder / "source/S9.csv", index=False)
 
 
-@pytest.mark.parametrize("what", KNOWN)
+@pytest.mark.parametrize("what", ADDED_KNOWLEDGE)
 def test_whoever_calibrates_a_recording_starts_from_the_same(
     what, lot_folder, registry_url, registry, run_store, press_unit, tmp_path
 ):
-    let_be_known(what, lot_folder, press_unit)
-    run = pressed(lot_folder, "A1")
+    add_to_folder(what, lot_folder, press_unit)
+    run = run_of_file(lot_folder, "A1")
     unit = run.output_recording()
     columns = [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
     write_columns(lot_folder / "units/A1.csv", columns)  # type: ignore[arg-type]
     batched(lot_folder, registry_url, tmp_path / "batch.json")
-    (made,) = (one for one in registry.calibrations.history("A1") if one.revision == 1)
-    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run, say)
-    assert [one.input_sha256 for one in registry.calibrations.history("A1")] == [made.input_sha256]
-    asked = {"lot": "small", "networks": [made.state.fit.network_id], "families": [MapConfig().family], "units": 1}
-    (row,) = compare_on_lot(registry, asked, lambda *_: None)
-    assert (row["predicted"], row["after"]) == (made.state.predicted_rmse, made.state.errors["after_rmse"])
+    (calibration,) = (one for one in registry.calibrations.history("A1") if one.revision == 1)
+    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run, ignore_progress)
+    assert [one.input_sha256 for one in registry.calibrations.history("A1")] == [calibration.input_sha256]
+    request = {
+        "lot": "small",
+        "networks": [calibration.state.fit.network_id],
+        "families": [MapConfig().family],
+        "units": 1,
+    }
+    (row,) = compare_on_lot(registry, request, lambda *_: None)
+    assert (row["predicted"], row["after"]) == (
+        calibration.state.predicted_rmse,
+        calibration.state.errors["after_rmse"],
+    )
     with lot_files(registry, "small", lambda *_: None) as folder:
         again = batched(folder.root, registry_url, tmp_path / "again.json")
     assert not again["A1"]["is_new"]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("what", KNOWN)
+@pytest.mark.parametrize("what", ADDED_KNOWLEDGE)
 def test_a_worker_and_python_start_from_the_same(what, lot_folder, registry_url, press_unit, tmp_path):
-    let_be_known(what, lot_folder, press_unit)
+    add_to_folder(what, lot_folder, press_unit)
     shutil.copy(lot_folder / "units/A1.csv", lot_folder / "units/A4.csv")
     batched(lot_folder, registry_url, tmp_path / "one.json")
     elsewhere = f"sqlite:///{shutil.copy(tmp_path / 'registry.db', tmp_path / 'two.db')}"
     batched(lot_folder, elsewhere, tmp_path / "two.json", "--jobs", "2", "--refit")
     with open_registry(registry_url) as one, open_registry(elsewhere) as two:
-        made, by_worker = one.calibrations.history("A1")[0], two.calibrations.history("A1")[-1]
-        network = one.networks.get(made.state.fit.network_id)
-    assert by_worker.input_sha256 == made.input_sha256
+        by_line, by_worker = one.calibrations.history("A1")[0], two.calibrations.history("A1")[-1]
+        network = one.networks.get(by_line.state.fit.network_id)
+    assert by_worker.input_sha256 == by_line.input_sha256
     if what not in ("nothing", "audit", "loads"):
         return
     files = {"source": "source/A0.csv", "unit": "units/A1.csv", "audit": "audit/A1.csv"}
@@ -190,10 +201,10 @@ def test_a_worker_and_python_start_from_the_same(what, lot_folder, registry_url,
     anchors = pd.read_csv(lot_folder / "anchors.csv") if what == "loads" else None
     in_python = softcal.fit_map(source, read["unit"], anchors=anchors, audit=read.get("audit"))
     assert source.network.id == network.id
-    assert in_python.state.map_sha256 == made.state.map_sha256
+    assert in_python.state.map_sha256 == by_line.state.map_sha256
 
 
-def say(progress: Progress) -> None:
+def ignore_progress(progress: Progress) -> None:
     return None
 
 
@@ -220,22 +231,24 @@ def test_known_loads_of_the_line_are_those_of_every_later_calibration(
     shutil.rmtree(lot_folder / "audit")
     rest, pressed_level = levels(lot_folder, "A1")
     registry.lots.set_line_rules("small", LOADS, reason="two weights")
-    run = run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
+    run = run_store.store(
+        Order("o", "s1", OrderKind.UNIT, "A1", "small"), run_of_file(lot_folder, "A1"), ignore_progress
+    )
     assert run.message[0].code == "load.wanted" and not run.verdict
     assert registry.lots.units(serial="A1")[0].revision is None, "judged before its loads were read"
-    first = run_store.store(*reading("A1", 1, 0.0, rest), say)
+    first = run_store.store(*reading("A1", 1, 0.0, rest), ignore_progress)
     assert first.message[0].code == "load.read" and not first.verdict
-    done = run_store.store(*reading("A1", 2, 2.0, pressed_level), say)
-    assert done.verdict
+    progress = run_store.store(*reading("A1", 2, 2.0, pressed_level), ignore_progress)
+    assert progress.verdict
     (stored,) = registry.calibrations.history("A1")
-    (kept,) = known_loads(registry, "small").values()
-    np.testing.assert_allclose(kept.loads.output, [rest, pressed_level], atol=1e-5)
+    (loads,) = known_loads(registry, "small").values()
+    np.testing.assert_allclose(loads.loads.output, [rest, pressed_level], atol=1e-5)
     # The owner of anchors makes the same of them: one input, one calibration.
     model = source_model(registry, stored.state.fit.network_id, Method())
     unit = registry.recordings.get(stored.state.fit.recording_sha256)
     limit = stated_limit("N", registry.lots.get("small").limit_rmse)
     alone = UnitProblem(model, unlabelled(unit), limit, reference=lot_reference(registry, "small"))
-    assert stored.input_sha256 == replace(alone, anchors=kept.loads).input_sha256 != alone.input_sha256
+    assert stored.input_sha256 == replace(alone, anchors=loads.loads).input_sha256 != alone.input_sha256
     laid_out = tmp_path / "laid-out"
     write_lot_folder(registry, "small", laid_out)
     assert {"t_s", "output"} <= set(pd.read_csv(laid_out / "units" / "A1.csv"))
@@ -258,10 +271,10 @@ def test_known_loads_of_the_line_are_those_of_every_later_calibration(
 def test_loads_that_cannot_be_calibrate_nothing(levels_read, codes, lot_folder, registry, run_store):
     rest, full = levels(lot_folder, "A1")
     registry.lots.set_line_rules("small", LOADS, reason="two weights")
-    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
+    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run_of_file(lot_folder, "A1"), ignore_progress)
     for step, (load, share, code) in enumerate(zip((0.0, 2.0), levels_read, codes, strict=True), 1):
-        said = run_store.store(*reading("A1", step, load, rest + share * (full - rest)), say)
-        assert (said.message[0].code == code and not said.verdict) if code else said.verdict
+        progress = run_store.store(*reading("A1", step, load, rest + share * (full - rest)), ignore_progress)
+        assert (progress.message[0].code == code and not progress.verdict) if code else progress.verdict
     is_good = not codes[-1]
     assert (registry.lots.units(serial="A1")[0].revision is not None) == is_good
     assert bool(known_loads(registry, "small")) == is_good
@@ -270,8 +283,8 @@ def test_loads_that_cannot_be_calibrate_nothing(levels_read, codes, lot_folder, 
 def test_a_reading_that_is_not_due_is_refused_before_it_begins(lot_folder, registry, run_store):
     due = Order("x", "s1", OrderKind.LOAD, "A1", "small", reason="1: 0.0")
     registry.lots.set_line_rules("small", LOADS, reason="two weights")
-    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
-    reasons = ({"reason": told} for told in ("2: 2.0", "1: 2.0", "the second"))
+    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run_of_file(lot_folder, "A1"), ignore_progress)
+    reasons = ({"reason": text} for text in ("2: 2.0", "1: 2.0", "the second"))
     for changes in ({"serial": "A2"}, {"lot_id": "other"}, *reasons):
         with pytest.raises(InputError):
             run_store.check(replace(due, **changes))

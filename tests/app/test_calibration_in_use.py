@@ -32,7 +32,7 @@ def batch(folder: Path, url: str, *more: str) -> dict:
     return {unit["serial"]: unit for unit in json.loads(report.read_text())["units"]}
 
 
-def in_use(url: str, serial: str) -> int:
+def revision_in_use(url: str, serial: str) -> int:
     with open_registry(url, create=False) as registry:
         return registry.calibrations.get(serial).revision
 
@@ -54,12 +54,12 @@ def test_a_repeated_recording_puts_its_own_map_in_use(lot_folder, registry_url, 
     first = (lot_folder / "units/A1.csv").read_bytes()
     assert batch(lot_folder, registry_url)["A1"]["map"]["revision"] == 1
     other_recording(lot_folder)
-    assert batch(lot_folder, registry_url)["A1"]["map"]["revision"] == in_use(registry_url, "A1") == 2
+    assert batch(lot_folder, registry_url)["A1"]["map"]["revision"] == revision_in_use(registry_url, "A1") == 2
     (lot_folder / "units/A1.csv").write_bytes(first)
-    told = batch(lot_folder, registry_url, "--out", str(tmp_path / "files"))["A1"]["map"]
-    assert told["revision"] == in_use(registry_url, "A1") == 1
+    stored_map = batch(lot_folder, registry_url, "--out", str(tmp_path / "files"))["A1"]["map"]
+    assert stored_map["revision"] == revision_in_use(registry_url, "A1") == 1
     manifest = json.loads((tmp_path / "files/manifest.json").read_text())
-    assert manifest["units"]["A1"]["map"] == told["sha256"]
+    assert manifest["units"]["A1"]["map"] == stored_map["sha256"]
 
 
 def test_what_a_person_rolled_back_to_stays_until_something_new_is_asked(lot_folder, registry_url):
@@ -68,14 +68,14 @@ def test_what_a_person_rolled_back_to_stays_until_something_new_is_asked(lot_fol
     batch(lot_folder, registry_url)
     with open_registry(registry_url) as registry:
         assert registry.calibrations.rollback("A1", 1, reason="remounted") == 3
-    assert batch(lot_folder, registry_url)["A1"]["map"]["revision"] == in_use(registry_url, "A1") == 3
+    assert batch(lot_folder, registry_url)["A1"]["map"]["revision"] == revision_in_use(registry_url, "A1") == 3
 
 
 def test_a_limit_that_comes_back_gives_the_same_verdict_everywhere(lot_folder, registry_url, tmp_path, capsys):
     toml = lot_folder / "lot.toml"
-    facts = toml.read_text()
+    toml_text = toml.read_text()
     for limit, verdict in ((0.002, "fail"), (5.0, "pass"), (0.002, "fail")):
-        toml.write_text(facts.replace("rmse = 0.16", f"rmse = {limit}"))
+        toml.write_text(toml_text.replace("rmse = 0.16", f"rmse = {limit}"))
         assert batch(lot_folder, registry_url)["A1"]["verdict"] == verdict
         assert listed(registry_url, capsys)["A1"]["verdict"] == verdict
         out = tmp_path / f"files-{limit}-{verdict}"
@@ -107,11 +107,11 @@ def test_a_serial_of_two_lots_is_asked_for_with_its_lot(lot_folder, registry_url
         assert "second" in error and "small" in error and error.count("\n") == 1, command
     for command in commands[:-1]:
         assert main([*command, "--registry", registry_url, "--lot", "small"]) == 0, command
-    made = {}
+    maps = {}
     for lot, folder in (("small", lot_folder), ("second", second)):
         report = batch(folder, registry_url, "--out", str(tmp_path / lot), "--release", "conditional")
-        made[lot] = report["A1"]["map"]["sha256"]
-    for lot, sha256 in made.items():
+        maps[lot] = report["A1"]["map"]["sha256"]
+    for lot, sha256 in maps.items():
         assert json.loads((tmp_path / lot / "manifest.json").read_text())["units"]["A1"]["map"] == sha256
 
 
@@ -129,7 +129,7 @@ def test_a_copy_of_the_registry_knows_every_result(lot_folder, registry_url, tmp
     assert [unit["map"] for unit in again.values()] == [unit["map"] for unit in first.values()]
 
 
-def test_nothing_in_the_queue_changes_what_is_told(lot_folder, registry_url, monkeypatch):
+def test_nothing_in_the_queue_changes_what_is_reported(lot_folder, registry_url, monkeypatch):
     true = batch(lot_folder, registry_url)
     with open_registry(registry_url) as registry:
         names = "lot_id, serial, kind, work_set, input_sha256, state, attempts, owner, lease_until, changed_at"
@@ -176,10 +176,10 @@ def test_nothing_that_lies_in_the_folder_stops_the_lot(lot_folder, registry_url,
     os.mkfifo(lot_folder / "audit/A3.csv")
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(units / "F6.csv"))
-        told = batch(lot_folder, registry_url)
+        report = batch(lot_folder, registry_url)
     for serial in ("A3", *(f"F{k}" for k in range(1, 8))):
-        assert told[serial]["verdict"] == "retest" and f"{serial}.csv" in told[serial]["reasons"][0]
-    assert all(told[serial]["map"] for serial in ("A1", "A2"))
+        assert report[serial]["verdict"] == "retest" and f"{serial}.csv" in report[serial]["reasons"][0]
+    assert all(report[serial]["map"] for serial in ("A1", "A2"))
 
 
 def test_a_file_that_grows_while_it_is_read_is_a_retest(lot_folder, registry_url, monkeypatch):
@@ -192,9 +192,9 @@ def test_a_file_that_grows_while_it_is_read_is_a_retest(lot_folder, registry_url
         return read(handle, size)
 
     monkeypatch.setattr("softcal.app.files.regular.os.read", growing)
-    told = batch(lot_folder, registry_url)
+    units = batch(lot_folder, registry_url)
     monkeypatch.undo()
-    assert told["A2"]["verdict"] == "retest" and told["A3"]["map"]
+    assert units["A2"]["verdict"] == "retest" and units["A3"]["map"]
     assert batch(lot_folder, registry_url)["A2"]["map"], "what passes is tried again"
 
 
@@ -205,10 +205,10 @@ def test_a_value_no_sensor_gives_is_left_out_and_named_with_its_line(lot_folder,
     table.loc[700, "output"] = size
     table.to_csv(path, index=False)
     np.testing.assert_equal(pd.read_csv(path).output.max(), size)
-    told = batch(lot_folder, registry_url)
-    assert any("line 702" in why for why in told["A2"]["reasons"]) and sum(told["A2"]["missing"].values()) >= 1
-    assert told["A1"]["map"] and told["A3"]["map"]
-    assert batch(lot_folder, registry_url)["A2"]["verdict"] == told["A2"]["verdict"]
+    units = batch(lot_folder, registry_url)
+    assert any("line 702" in why for why in units["A2"]["reasons"]) and sum(units["A2"]["missing"].values()) >= 1
+    assert units["A1"]["map"] and units["A3"]["map"]
+    assert batch(lot_folder, registry_url)["A2"]["verdict"] == units["A2"]["verdict"]
 
 
 @pytest.mark.parametrize("error", [MemoryError(), KeyError("\x1b[31mred")])
@@ -221,9 +221,9 @@ def test_whatever_a_unit_s_work_raises_is_that_unit_s_result(lot_folder, registr
         return work(shared, task)
 
     monkeypatch.setattr(unit_work, "_work_on_unit", failing)
-    told = batch(lot_folder, registry_url)
-    assert told["A2"]["verdict"] == "retest" and type(error).__name__ in told["A2"]["reasons"][0]
-    assert told["A1"]["map"] and told["A3"]["map"] and "\x1b" not in "".join(capsys.readouterr())
+    units = batch(lot_folder, registry_url)
+    assert units["A2"]["verdict"] == "retest" and type(error).__name__ in units["A2"]["reasons"][0]
+    assert units["A1"]["map"] and units["A3"]["map"] and "\x1b" not in "".join(capsys.readouterr())
     monkeypatch.undo()
     assert batch(lot_folder, registry_url)["A2"]["map"], "what passes is tried again"
 
@@ -268,5 +268,5 @@ def test_a_limit_that_was_not_reached_hangs_under_no_profiler():
         "try:\n    profile.runcall(under, 1e-3)\nexcept UnitTimeout:\n    print('broken off')\n"
         "print(profile.runcall(under, 60.0))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
-    assert done.stdout.split("\n")[:3] == ["1088890", "broken off", "1088890"], done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert process.stdout.split("\n")[:3] == ["1088890", "broken off", "1088890"], process.stderr

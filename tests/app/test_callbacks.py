@@ -62,7 +62,7 @@ def callbacks(path: Path) -> list[tuple[int, str, bool]]:
         for node in ast.walk(tree)
         if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("run_uninterrupted(")
     }
-    given = [
+    handlers = [
         (node.lineno, keyword.value)
         for node in ast.walk(tree)
         if isinstance(node, ast.Call)
@@ -71,7 +71,7 @@ def callbacks(path: Path) -> list[tuple[int, str, bool]]:
     ]
     return [
         (line, ast.unparse(value), _is_whole(value, whole))
-        for line, value in given
+        for line, value in handlers
         if not isinstance(value, ast.Constant)
     ]
 

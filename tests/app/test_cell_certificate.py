@@ -63,13 +63,17 @@ def dcc(tmp_path):
 
 
 def test_a_dcc_gives_everything_the_gate_needs(dcc):
-    found = certificate_from({}, dcc)
-    assert (found.cell_serial, found.number, found.laboratory) == ("K-2041", "D-K-12345-2026-017", "Force Lab")
-    assert (found.issued_on, found.due_on) == (date(2026, 1, 5), date(2027, 1, 5))
-    assert found.capacity_N == pytest.approx(50.0)
+    certificate = certificate_from({}, dcc)
+    assert (certificate.cell_serial, certificate.number, certificate.laboratory) == (
+        "K-2041",
+        "D-K-12345-2026-017",
+        "Force Lab",
+    )
+    assert (certificate.issued_on, certificate.due_on) == (date(2026, 1, 5), date(2027, 1, 5))
+    assert certificate.capacity_N == pytest.approx(50.0)
     # The largest of all forces, at k = 2: 0.060 N at k = 3 is 0.040 N.
-    assert found.uncertainty_N == pytest.approx(0.040)
-    assert found.document == DCC.encode()
+    assert certificate.uncertainty_N == pytest.approx(0.040)
+    assert certificate.document == DCC.encode()
 
 
 def test_an_option_outweighs_the_document(dcc):

@@ -21,8 +21,8 @@ def press_source(folder, constant_s):
         if constant_s:
             filter_cell(station, constant_s)
         force = replace(bench.config.force, serial="K1", latency_s=UNKNOWN_S)
-        named = replace(bench, config=replace(bench.config, name="line-1", force=force))
-        return record_to_files(named, ["A0"], folder / "source" / "A0.csv", SLOW, True, folder / "spools")
+        bench_of_line = replace(bench, config=replace(bench.config, name="line-1", force=force))
+        return record_to_files(bench_of_line, ["A0"], folder / "source" / "A0.csv", SLOW, True, folder / "spools")
 
 
 def test_what_a_low_pass_leaves_is_uncertainty_of_the_reference_until_it_is_gone(tmp_path):

@@ -17,7 +17,7 @@ from softcal.station.tasks.acquisition import record
 
 
 @pytest.fixture(scope="module")
-def pressed(tmp_path_factory):
+def spool_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("spool")
     units = draw_lot(np.random.default_rng(1), 3)
     with open_simulated_bench(units[0], seed=1, other_units=units[1:]) as (bench, _):
@@ -25,19 +25,19 @@ def pressed(tmp_path_factory):
             return record(bench, "A1", ramps([2.0], 3.0, rest_s=0.5), with_reference=False, spool=spool), folder
 
 
-def test_every_channel_of_a_finished_run_is_recovered_under_its_serial(pressed, tmp_path):
-    recording, folder = pressed
-    (found,) = recover(folder, tmp_path)
-    assert [file.name for file in found.files] == ["A1.csv", "A2.csv", "A3.csv"]
-    for channel, file in enumerate(found.files):
+def test_every_channel_of_a_finished_run_is_recovered_under_its_serial(spool_folder, tmp_path):
+    recording, folder = spool_folder
+    (recovered_run,) = recover(folder, tmp_path)
+    assert [file.name for file in recovered_run.files] == ["A1.csv", "A2.csv", "A3.csv"]
+    for channel, file in enumerate(recovered_run.files):
         np.testing.assert_allclose(pd.read_csv(file)["output"], recording.output[:, channel], atol=1e-6)
 
 
-def test_each_unit_of_a_substrate_is_kept_with_a_serial_of_its_own(pressed, tmp_path):
-    recording, _ = pressed
+def test_each_unit_of_a_substrate_is_kept_with_a_serial_of_its_own(spool_folder, tmp_path):
+    recording, _ = spool_folder
     with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
         registry.lots.add(Lot("L1", "A0", 50.0))
         order = Order("o1", "s1", OrderKind.UNIT, "SUB1", "L1")
-        done = RunStore(registry, "s1").store(order, recording, lambda progress: None)
-        assert done.state is RunState.DONE
+        final_progress = RunStore(registry, "s1").store(order, recording, lambda progress: None)
+        assert final_progress.state is RunState.DONE
         assert [unit.serial for unit in registry.lots.units("L1")] == ["A0", "SUB1-1", "SUB1-2", "SUB1-3"]

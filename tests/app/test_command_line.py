@@ -92,38 +92,38 @@ def test_json_on_standard_output_is_json_and_nothing_else(
 
 def test_one_standard_output_is_not_given_twice(calibrated: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["registry", "list", "--registry", _url(calibrated), "--json", "-", "--csv", "-"]) == 2
-    told = capsys.readouterr()
-    assert told.out == "" and told.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
 
 
 def _on_a_terminal(arguments: list[str], columns: int, **environment: str) -> str:
     """Run softcal on a terminal of so many columns and return what it showed."""
     near, far = pty.openpty()
     fcntl.ioctl(far, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
-    kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR", "FORCE_COLOR")}
+    base_env = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR", "FORCE_COLOR")}
     code = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
     process = subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
-        stdin=far, stdout=far, stderr=subprocess.DEVNULL, env={**kept, "TERM": "xterm-256color", **environment},
+        stdin=far, stdout=far, stderr=subprocess.DEVNULL, env={**base_env, "TERM": "xterm-256color", **environment},
     )  # fmt: skip
     os.close(far)
-    shown = b""
+    screen = b""
     try:
         while part := os.read(near, 4096):
-            shown += part
+            screen += part
     except OSError:
         pass  # the terminal is closed with its last process
     process.wait(60)
     os.close(near)
-    return shown.decode()
+    return screen.decode()
 
 
 @pytest.mark.parametrize("columns", [60, 100])
 def test_a_table_fits_the_terminal_and_loses_no_letter(calibrated: Path, columns: int) -> None:
-    shown = _on_a_terminal(["registry", "list", "--registry", _url(calibrated)], columns, NO_COLOR="1")
-    assert "\x1b[" not in shown
-    assert max(len(line) for line in shown.splitlines()) <= columns
-    assert "…" not in shown
+    screen = _on_a_terminal(["registry", "list", "--registry", _url(calibrated)], columns, NO_COLOR="1")
+    assert "\x1b[" not in screen
+    assert max(len(line) for line in screen.splitlines()) <= columns
+    assert "…" not in screen
 
 
 def test_verdicts_have_a_colour_unless_it_is_refused(calibrated: Path) -> None:
@@ -131,7 +131,7 @@ def test_verdicts_have_a_colour_unless_it_is_refused(calibrated: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "meant"),
+    ("arguments", "suggested_name"),
     [
         (["batc", "lot-1"], "batch"),
         (["registry", "lst"], "list"),
@@ -143,15 +143,15 @@ def test_verdicts_have_a_colour_unless_it_is_refused(calibrated: Path) -> None:
     ],
 )
 def test_a_mistyped_name_gets_a_suggestion(
-    arguments: list[str], meant: str | None, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], suggested_name: str | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if meant is None:  # a unique beginning is no mistake
+    if suggested_name is None:  # a unique beginning is no mistake
         command_parser().parse_args([*arguments, "file.csv"])
         return
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
-    assert suggestion(meant, [meant]) in capsys.readouterr().err
+    assert suggestion(suggested_name, [suggested_name]) in capsys.readouterr().err
 
 
 def test_what_is_like_nothing_gets_no_suggestion() -> None:
@@ -197,8 +197,8 @@ def test_bash_completes_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[
         "source softcal.sh; COMP_WORDS=(softcal est); COMP_CWORD=1; "
         "f=$(complete -p softcal | sed 's/.*-F \\([^ ]*\\).*/\\1/'); $f softcal est softcal; echo ${COMPREPLY[@]}"
     )
-    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout.split() == ["estimate"], done.stderr
+    process = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True)
+    assert process.stdout.split() == ["estimate"], process.stderr
 
 
 def _examples(command: str) -> list[list[str]]:
@@ -255,18 +255,18 @@ def test_tables_of_an_instrument_are_taken_as_import_takes_them(
     calibrated: Path, tmp_path: Path, command: str, time: tuple[str, str]
 ) -> None:
     arguments = [command, "--serial", "A1", "--registry", _url(calibrated)]
-    plain, named = tmp_path / "plain.csv", tmp_path / "named.csv"
+    plain, renamed = tmp_path / "plain.csv", tmp_path / "named.csv"
     assert main([*arguments, str(calibrated / "lot/units/A1.csv"), "--out", str(plain)]) == 0
     logged = str(_logged(calibrated, tmp_path))
-    assert main([*arguments, logged, "--output-column", "output_V", *time, "--out", str(named)]) == 0
-    expected, found = pd.read_csv(plain), pd.read_csv(named)
+    assert main([*arguments, logged, "--output-column", "output_V", *time, "--out", str(renamed)]) == 0
+    expected, converted = pd.read_csv(plain), pd.read_csv(renamed)
     assert expected["estimate"].notna().sum() > 1000
-    np.testing.assert_allclose(found["estimate"], expected["estimate"], rtol=1e-9)
-    np.testing.assert_allclose(found["t_s"], expected["t_s"], atol=1e-9)
+    np.testing.assert_allclose(converted["estimate"], expected["estimate"], rtol=1e-9)
+    np.testing.assert_allclose(converted["t_s"], expected["t_s"], atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "texts"),
     [
         (("estimate", "--output-column", "volts"), "'volts'"),
         (("estimate", "--output-column", "output_V", "no time"), "'t_s'"),
@@ -279,16 +279,16 @@ def test_tables_of_an_instrument_are_taken_as_import_takes_them(
     ],
 )
 def test_a_wrong_column_or_rate_is_one_line(
-    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], texts: str
 ) -> None:
     logged, (command, *rest) = _logged(calibrated, tmp_path), arguments
     if rest[-1] == "no time":
         rest.pop()
         # A column that rises in a unit of time would be taken as the time.
         pd.read_csv(logged).drop(columns="when_s").to_csv(logged, index=False)
-    place = [str(logged), "--out", str(tmp_path / "out.csv")]
-    assert main([command, "--serial", "A1", "--registry", _url(calibrated), *place, *rest]) == 2
-    assert words in capsys.readouterr().err
+    options = [str(logged), "--out", str(tmp_path / "out.csv")]
+    assert main([command, "--serial", "A1", "--registry", _url(calibrated), *options, *rest]) == 2
+    assert texts in capsys.readouterr().err
     assert not (tmp_path / "out.csv").exists()
 
 
@@ -308,8 +308,8 @@ def test_a_report_escapes_what_a_lot_and_its_units_are_called(calibrated: Path) 
     with open_registry(_url(calibrated)) as registry:
         view = lot_view(registry, "small")
         units = [replace(unit, serial="<i>serial") for unit in registry.lots.units("small")]
-    named = replace(view, lot=replace(view.lot, sensor_model="<i>model"))
-    page = lot_page(named, units, partial(text, "en"), "<i>made")
+    renamed = replace(view, lot=replace(view.lot, sensor_model="<i>model"))
+    page = lot_page(renamed, units, partial(text, "en"), "<i>made")
     assert "<i>" not in page
     assert all(f"&lt;i&gt;{name}" in page for name in ("model", "serial", "made"))
 

@@ -66,18 +66,18 @@ class Provider:
             "code_challenge_methods_supported": ["S256"],
         }
 
-    def authorise(self, asked: dict[str, str]) -> str:
+    def authorise(self, query: dict[str, str]) -> str:
         """Return where the browser goes on, with a code."""
         code = secrets.token_urlsafe(16)
-        self._codes[code] = asked
-        return f"{asked['redirect_uri']}?{urlencode({'code': code, 'state': asked['state']})}"
+        self._codes[code] = query
+        return f"{query['redirect_uri']}?{urlencode({'code': code, 'state': query['state']})}"
 
-    def token(self, asked: dict[str, str], credentials: str) -> dict[str, object]:
+    def token(self, query: dict[str, str], credentials: str) -> dict[str, object]:
         """Return the tokens for a code, once, to the client that asked for it."""
-        granted = self._codes.pop(asked["code"])
+        granted = self._codes.pop(query["code"])
         assert credentials == f"{CLIENT}:{SECRET}"
-        assert asked["redirect_uri"] == granted["redirect_uri"]
-        digest = hashlib.sha256(asked["code_verifier"].encode()).digest()
+        assert query["redirect_uri"] == granted["redirect_uri"]
+        digest = hashlib.sha256(query["code_verifier"].encode()).digest()
         assert base64.urlsafe_b64encode(digest).rstrip(b"=").decode() == granted["code_challenge"]
         now_s = int(time.time())
         life = {"iat": now_s, "exp": now_s + LIFE_S, "nonce": granted["nonce"]}
@@ -104,16 +104,16 @@ def _handler(provider: Provider) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             address = urlsplit(self.path)
-            asked = dict(parse_qsl(address.query))
+            query = dict(parse_qsl(address.query))
             if address.path == "/.well-known/openid-configuration":
                 self._answer(provider.metadata)
             elif address.path == "/jwks":
                 self._answer({"keys": [provider.key.as_dict(private=False)]})
             elif address.path == "/authorize":
-                self._send_on(provider.authorise(asked))
+                self._send_on(provider.authorise(query))
             else:
-                provider.ended.append(asked["post_logout_redirect_uri"])
-                self._send_on(asked["post_logout_redirect_uri"])
+                provider.ended.append(query["post_logout_redirect_uri"])
+                self._send_on(query["post_logout_redirect_uri"])
 
         def do_POST(self) -> None:
             form = parse_qs(self.rfile.read(int(self.headers["Content-Length"])).decode())

@@ -14,8 +14,8 @@ def test_families_side_by_side_and_the_registry_as_it_was(calibrated, capsys):
             return [(u.serial, u.family, u.revision) for u in registry.lots.units("small")], registry.trail.rows()
 
     before = contents()
-    asked = ["compare", "small", "--registry", calibrated, "--maps", "auto,two_point,auto,exact", "--json", "-"]
-    assert not main(asked)
+    command = ["compare", "small", "--registry", calibrated, "--maps", "auto,two_point,auto,exact", "--json", "-"]
+    assert not main(command)
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [row["family"] for row in rows] == ["auto", "two_point", "exact"]
     assert all(row["after"] < row["before"] and row["audited"] == 3 for row in rows)

@@ -22,18 +22,18 @@ def _write_user(folder: Path, text: str) -> None:
     (folder / "config/softcal/softcal.toml").write_text(text)
 
 
-def _parsed(*words: str) -> object:
+def _parsed(*arguments: str) -> object:
     parser = command_parser()
     configure(parser)
-    return parser.parse_args(words)
+    return parser.parse_args(arguments)
 
 
 def test_the_file_here_outranks_the_file_of_the_user_and_an_option_outranks_both(folder: Path) -> None:
     _write_user(folder, 'registry = "sqlite:///user.db"\n[batch]\njobs = 3\n')
     assert vars(_parsed("batch", "lot"))["registry"] == "sqlite:///user.db"
     (folder / "softcal.toml").write_text('registry = "sqlite:///here.db"\n')
-    found = vars(_parsed("batch", "lot"))
-    assert (found["registry"], found["jobs"]) == ("sqlite:///here.db", 3)
+    options = vars(_parsed("batch", "lot"))
+    assert (options["registry"], options["jobs"]) == ("sqlite:///here.db", 3)
     assert vars(_parsed("batch", "lot", "--registry", "sqlite:///typed.db"))["registry"] == "sqlite:///typed.db"
 
 
@@ -45,8 +45,8 @@ def test_the_environment_outranks_the_files(folder: Path, monkeypatch: pytest.Mo
 
 def test_an_option_that_is_needed_can_stand_in_the_file(folder: Path) -> None:
     (folder / "softcal.toml").write_text('[import]\nout = "lot-1"\nsample-rate = 50\n')
-    found = vars(_parsed("import", "a.csv", "--source", "S1"))
-    assert (found["out"], found["sample_rate"]) == (Path("lot-1"), 50.0)
+    options = vars(_parsed("import", "a.csv", "--source", "S1"))
+    assert (options["out"], options["sample_rate"]) == (Path("lot-1"), 50.0)
 
 
 def test_a_list_is_for_options_that_take_several(folder: Path) -> None:
@@ -55,7 +55,7 @@ def test_a_list_is_for_options_that_take_several(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("registri = 'x'", "registri"),
         ("[bach]\njobs = 3", "bach"),
@@ -67,11 +67,11 @@ def test_a_list_is_for_options_that_take_several(folder: Path) -> None:
         ("registry = ", "TOML"),
     ],
 )
-def test_a_wrong_file_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str], text: str, says: str) -> None:
+def test_a_wrong_file_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str], text: str, message: str) -> None:
     (folder / "softcal.toml").write_text(text)
     assert main(["doctor"]) == 2
     error = capsys.readouterr().err
-    assert says in error and "softcal.toml" in error and error.count("\n") == 1
+    assert message in error and "softcal.toml" in error and error.count("\n") == 1
 
 
 def test_doctor_names_the_files_in_use(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

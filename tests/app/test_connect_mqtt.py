@@ -45,9 +45,9 @@ class Broker:
 
     def start(self) -> None:
         listen = f"listener {self.port} 127.0.0.1\n" if "listener" not in self.lines else ""
-        kept = f"persistence true\npersistence_location {self.folder}/\n"
+        persistence = f"persistence true\npersistence_location {self.folder}/\n"
         file = self.folder / "mosquitto.conf"
-        file.write_text(f"{listen}allow_anonymous true\n{kept}max_queued_messages 0\nuser root\n{self.lines}")
+        file.write_text(f"{listen}allow_anonymous true\n{persistence}max_queued_messages 0\nuser root\n{self.lines}")
         with (self.folder / "log").open("wb") as log:
             self.process = subprocess.Popen([self.program, "-c", file], stdout=log, stderr=log)
         wait_until(self.is_listening, "the broker listens")
@@ -71,10 +71,10 @@ class Broker:
 def broker(tmp_path: Path, require_program, some_port) -> Iterator[Broker]:
     program = require_program("mosquitto")
     (tmp_path / "broker").mkdir()
-    made = Broker(program, tmp_path / "broker", some_port())
-    made.start()
-    yield made
-    made.end()
+    mqtt_broker = Broker(program, tmp_path / "broker", some_port())
+    mqtt_broker.start()
+    yield mqtt_broker
+    mqtt_broker.end()
 
 
 @pytest.fixture
@@ -85,11 +85,11 @@ def registry(tmp_path: Path) -> Iterator[Registry]:
 
 
 def settings_of(of: Broker, **more: object) -> MqttSettings:
-    facts = {"name": "plant", "broker": f"mqtt://127.0.0.1:{of.port}", "begin": "first", "timeout_s": 10.0}
-    return MqttSettings(**facts | more)
+    values = {"name": "plant", "broker": f"mqtt://127.0.0.1:{of.port}", "begin": "first", "timeout_s": 10.0}
+    return MqttSettings(**values | more)
 
 
-def judge(registry: Registry, first: int, units: int) -> None:
+def give_verdicts(registry: Registry, first: int, units: int) -> None:
     with registry.transaction():
         for number in range(first, first + units):
             registry.calibrations.refuse("lot 1+", f"U{number}", "fail", (plain("dead"),))
@@ -99,7 +99,7 @@ class Subscriber:
     """A client whose session outlives its connection."""
 
     def __init__(self, broker: Broker, topic: str = "softcal/#") -> None:
-        self.got: list[tuple[str, str, bool]] = []
+        self.messages: list[tuple[str, str, bool]] = []
         self.client = paho.Client(CallbackAPIVersion.VERSION2, client_id=f"watch-{topic}", clean_session=False)
         self.is_subscribed = False
         self.client.on_message = self._take
@@ -111,13 +111,13 @@ class Subscriber:
         wait_until(lambda: self.is_subscribed, "subscribed")
 
     def _take(self, client: object, data: object, message: paho.MQTTMessage) -> None:
-        self.got.append((message.topic, message.payload.decode(), message.retain))
+        self.messages.append((message.topic, message.payload.decode(), message.retain))
 
     def _subscribed(self, *_: object) -> None:
         self.is_subscribed = True
 
     def of(self, topic: str) -> list[str]:
-        return [payload for name, payload, _ in self.got if name == topic]
+        return [payload for name, payload, _ in self.messages if name == topic]
 
     def end(self) -> None:
         self.client.disconnect()
@@ -126,19 +126,19 @@ class Subscriber:
 
 @pytest.fixture
 def subscriber(broker: Broker) -> Iterator[Subscriber]:
-    made = Subscriber(broker)
-    yield made
-    made.end()
+    client = Subscriber(broker)
+    yield client
+    client.end()
 
 
 def publisher(registry: Registry, settings: MqttSettings) -> Forwarder:
     """A publisher for whose clock every delay is over when it looks again."""
-    states, standing, hours = (
+    states, current, hours = (
         partial(state_messages, registry),
         partial(list_current_messages, registry, settings),
         count(),
     )
-    destination = Destination(settings, partial(open_mqtt, settings, states, standing))
+    destination = Destination(settings, partial(open_mqtt, settings, states, current))
     return Forwarder(registry, destination, lambda: datetime.now(UTC) + timedelta(hours=next(hours)))
 
 
@@ -148,7 +148,7 @@ def test_a_client_sees_every_verdict_across_restarts_of_broker_and_publisher(reg
     share, settings = VERDICTS // 10, settings_of(broker)
     forwarder = publisher(registry, settings)
     for part in range(10):
-        judge(registry, share * part, share)
+        give_verdicts(registry, share * part, share)
         if part % 3 == 0:
             broker.restart()
         if part % 3 == 1:
@@ -176,27 +176,37 @@ def has_all(registry: Registry) -> bool:
 
 
 def test_who_comes_later_finds_the_newest_verdict_of_each_unit(registry, broker):
-    judge(registry, 0, 3)
+    give_verdicts(registry, 0, 3)
     registry.calibrations.refuse("lot 1+", "U1", "retest", (plain("press again"),))
     with publisher(registry, settings_of(broker)) as forwarder:
         while forwarder.step():
             pass
     late = Subscriber(broker, "softcal/lots/#")
-    wait_until(lambda: len(late.got) == 3, "three retained verdicts")
+    wait_until(lambda: len(late.messages) == 3, "three retained verdicts")
     late.end()
-    found = {topic: json.loads(text)["data"]["verdict"] for topic, text, is_kept in late.got if is_kept}
-    place = "softcal/lots/lot%201%2B/units"
-    assert found == {f"{place}/U0/verdict": "fail", f"{place}/U1/verdict": "retest", f"{place}/U2/verdict": "fail"}
+    verdicts = {topic: json.loads(text)["data"]["verdict"] for topic, text, is_retained in late.messages if is_retained}
+    topic_of_lot = "softcal/lots/lot%201%2B/units"
+    assert verdicts == {
+        f"{topic_of_lot}/U0/verdict": "fail",
+        f"{topic_of_lot}/U1/verdict": "retest",
+        f"{topic_of_lot}/U2/verdict": "fail",
+    }
 
 
 def test_a_destination_that_is_new_finds_the_verdicts_and_alerts_from_before_and_no_older_ones(registry, broker):
-    told = {"kind": "golden", "lot": None, "values": {"station": "line-1"}, "is_urgent": True, "text": {"en": "x"}}
-    judge(registry, 0, 3)
+    golden_alert = {
+        "kind": "golden",
+        "lot": None,
+        "values": {"station": "line-1"},
+        "is_urgent": True,
+        "text": {"en": "x"},
+    }
+    give_verdicts(registry, 0, 3)
     registry.calibrations.refuse("lot 1+", "U1", "retest", (plain("press again"),))
     for alert in ("line-1", "line-2"):
-        told["values"] = {"station": alert}
-        store_alert(registry, ("golden", "", alert), told, is_open=True)
-    store_alert(registry, ("golden", "", "line-2"), told, is_open=False)
+        golden_alert["values"] = {"station": alert}
+        store_alert(registry, ("golden", "", alert), golden_alert, is_open=True)
+    store_alert(registry, ("golden", "", "line-2"), golden_alert, is_open=False)
     early = Subscriber(broker, "softcal/events")
     for number in range(2):  # The second time it is not new, and what happened meanwhile is not overwritten.
         with publisher(registry, settings_of(broker, begin="now")) as forwarder:
@@ -209,30 +219,34 @@ def test_a_destination_that_is_new_finds_the_verdicts_and_alerts_from_before_and
     # Of the broker's retained messages the alerts may come last.
     kinds = ("units", "units", "units", "alerts")
     wait_until(
-        lambda: all(sum(kind in topic for topic, _, _ in late.got) >= kinds.count(kind) for kind in kinds), "all"
+        lambda: all(sum(kind in topic for topic, _, _ in late.messages) >= kinds.count(kind) for kind in kinds), "all"
     )
     late.end()
-    found = {
-        topic: json.loads(text) for topic, text, is_kept in late.got if is_kept and text not in ("online", "offline")
+    payloads = {
+        topic: json.loads(text)
+        for topic, text, is_retained in late.messages
+        if is_retained and text not in ("online", "offline")
     }
-    place = "softcal/lots/lot%201%2B/units"
-    verdicts = {topic: event["data"]["verdict"] for topic, event in found.items() if "units" in topic}
-    assert verdicts == {f"{place}/U{k}/verdict": verdict for k, verdict in enumerate(("fail", "retest", "retest"))}
-    assert [topic for topic in found if "alerts" in topic] == ["softcal/alerts/golden/-/line-1"]
+    topic_of_lot = "softcal/lots/lot%201%2B/units"
+    verdicts = {topic: event["data"]["verdict"] for topic, event in payloads.items() if "units" in topic}
+    assert verdicts == {
+        f"{topic_of_lot}/U{k}/verdict": verdict for k, verdict in enumerate(("fail", "retest", "retest"))
+    }
+    assert [topic for topic in payloads if "alerts" in topic] == ["softcal/alerts/golden/-/line-1"]
     # What happened before is no event: those who act on events must not act on it.
-    wait_until(lambda: len(early.got) >= 2, "two events")
+    wait_until(lambda: len(early.messages) >= 2, "two events")
     early.end()
-    assert len(early.got) == 2
+    assert len(early.messages) == 2
 
 
 def test_the_state_of_a_station_is_kept_and_changes_are_published_once(registry, broker, subscriber):
-    beat = Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="a:1")
-    registry.order_queue.beat(beat)
+    heartbeat = Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="a:1")
+    registry.order_queue.write_heartbeat(heartbeat)
     with publisher(registry, settings_of(broker)) as forwarder:
         forwarder.step()
-        registry.order_queue.beat(replace(beat, at=datetime.now(UTC)))
+        registry.order_queue.write_heartbeat(replace(heartbeat, at=datetime.now(UTC)))
         forwarder.step()
-        registry.order_queue.beat(replace(beat, state=StationState.STOPPED, at=datetime.now(UTC)))
+        registry.order_queue.write_heartbeat(replace(heartbeat, state=StationState.STOPPED, at=datetime.now(UTC)))
         forwarder.step()
     wait_until(lambda: len(subscriber.of("softcal/stations/line-1/state")) >= 2, "two states")
     states = [json.loads(text)["state"] for text in subscriber.of("softcal/stations/line-1/state")]
@@ -240,11 +254,17 @@ def test_the_state_of_a_station_is_kept_and_changes_are_published_once(registry,
 
 
 def test_an_alert_is_kept_until_it_is_over(registry, broker, subscriber):
-    told = {"kind": "golden", "lot": None, "values": {"station": "line-1"}, "is_urgent": True, "text": {"en": "x"}}
+    golden_alert = {
+        "kind": "golden",
+        "lot": None,
+        "values": {"station": "line-1"},
+        "is_urgent": True,
+        "text": {"en": "x"},
+    }
     with publisher(registry, settings_of(broker)) as forwarder:
-        store_alert(registry, ("golden", "", "line-1"), told, is_open=True)
+        store_alert(registry, ("golden", "", "line-1"), golden_alert, is_open=True)
         forwarder.step()
-        store_alert(registry, ("golden", "", "line-1"), told, is_open=False)
+        store_alert(registry, ("golden", "", "line-1"), golden_alert, is_open=False)
         forwarder.step()
     topic = "softcal/alerts/golden/-/line-1"
     wait_until(lambda: len(subscriber.of(topic)) == 2, "raised and cleared")
@@ -253,7 +273,7 @@ def test_an_alert_is_kept_until_it_is_over(registry, broker, subscriber):
 
 
 def test_a_publisher_that_dies_leaves_its_last_will(registry, broker, subscriber):
-    judge(registry, 0, 1)
+    give_verdicts(registry, 0, 1)
     forwarder = publisher(registry, settings_of(broker))
     forwarder.step()
     wait_until(lambda: subscriber.of("softcal/status") == ["online"], "online")
@@ -263,7 +283,7 @@ def test_a_publisher_that_dies_leaves_its_last_will(registry, broker, subscriber
 
 
 def test_a_broker_that_is_away_is_one_line_and_no_loss(registry, broker, subscriber):
-    judge(registry, 0, 1)
+    give_verdicts(registry, 0, 1)
     broker.end()
     forwarder = publisher(registry, settings_of(broker))
     assert forwarder.step() is False

@@ -46,7 +46,7 @@ def settings(some_port) -> OpcUaSettings:
     return OpcUaSettings(endpoint=f"opc.tcp://127.0.0.1:{some_port()}/softcal")
 
 
-def judge(registry: Registry, first: int, count: int, verdict: str = "fail") -> None:
+def give_verdicts(registry: Registry, first: int, count: int, verdict: str = "fail") -> None:
     with registry.transaction():
         for number in range(first, first + count):
             registry.calibrations.refuse("L1", f"U{number}", verdict, (plain("dead"),))
@@ -85,63 +85,63 @@ def test_a_client_sees_every_verdict_across_restarts_of_the_server(registry, set
     """1,000 verdicts in four parts; the server is gone while one of each two is made, and the client reads on."""
     watcher, share = Watcher(), VERDICTS // 4
 
-    async def watch() -> None:
+    async def collect_events() -> None:
         for part in (0, 2):
-            judge(registry, share * part, share)
+            give_verdicts(registry, share * part, share)
             async with opcua_server(registry, settings) as server, Client(settings.endpoint) as client:
                 await watcher.read_on(client)
-                judge(registry, share * (part + 1), share)
+                give_verdicts(registry, share * (part + 1), share)
                 await server.follow()
                 await watcher.read_on(client)
 
-    run(watch())
-    wanted = [event.event_id for event in events_after(registry, {}, 2 * VERDICTS, ["verdict"]).events]
-    assert watcher.ids == wanted and len(wanted) == VERDICTS
+    run(collect_events())
+    expected_ids = [event.event_id for event in events_after(registry, {}, 2 * VERDICTS, ["verdict"]).events]
+    assert watcher.ids == expected_ids and len(expected_ids) == VERDICTS
 
 
 def test_a_subscription_to_the_cursor_says_when_to_read(registry, settings):
-    told: asyncio.Queue[str] = asyncio.Queue()
+    notifications: asyncio.Queue[str] = asyncio.Queue()
 
     class Handler:
-        def datachange_notification(self, changed, seen, data) -> None:
-            told.put_nowait(seen)
+        def datachange_notification(self, changed, value, data) -> None:
+            notifications.put_nowait(value)
 
-    async def watch() -> list[str]:
+    async def subscribe() -> list[str]:
         async with opcua_server(registry, settings) as server, Client(settings.endpoint) as client:
             subscription = await client.create_subscription(20, Handler())
             await subscription.subscribe_data_change(await node(client, "Events/Cursor"))
-            before = await asyncio.wait_for(told.get(), 30)
-            judge(registry, 0, 1)
+            before = await asyncio.wait_for(notifications.get(), 30)
+            give_verdicts(registry, 0, 1)
             await server.follow()
-            assert await asyncio.wait_for(told.get(), 30) != before
+            assert await asyncio.wait_for(notifications.get(), 30) != before
             _, events = await read(client, before, 10)
             await subscription.delete()
             return [event["data"]["serial"] for event in events]
 
-    assert run(watch()) == ["U0"]
+    assert run(subscribe()) == ["U0"]
 
 
 def test_a_station_shows_its_state_its_unit_and_the_verdict_of_the_last_one(registry, settings):
     # As far ahead as clocks may be: nobody beats while the test looks.
     queue, ahead = registry.order_queue, datetime.now(UTC) + timedelta(seconds=25)
-    queue.beat(Heartbeat("line 1", StationState.RUNNING, ahead, process="a:1"))
+    queue.write_heartbeat(Heartbeat("line 1", StationState.RUNNING, ahead, process="a:1"))
     queue.place(Order("o1", "line 1", OrderKind.UNIT, "U1", "L1"))
     queue.report(Progress("o1", RunState.DONE, verdict="pass"))
-    judge(registry, 1, 1, "retest")
+    give_verdicts(registry, 1, 1, "retest")
     queue.place(Order("o2", "line 1", OrderKind.UNIT, "U2", "L1"))
 
     async def look() -> dict[str, object]:
         async with opcua_server(registry, settings) as server, Client(settings.endpoint) as client:
             names = ("State", "Serial", "LastSerial", "LastLot", "LastVerdict", "Lot", "Retest")
             first = {name: await value(client, f"Stations/line%201/{name}") for name in names}
-            judge(registry, 2, 3)
+            give_verdicts(registry, 2, 3)
             await server.follow()
             lot = {name: await value(client, f"Lots/L1/{name}") for name in ("Fail", "Retest", "Pass")}
             return first | {f"lot {name}": count for name, count in lot.items()}
 
-    shown = run(look())
+    values = run(look())
     # The run said pass when it was pressed; what holds now is what every page says.
-    assert shown == {
+    assert values == {
         "State": "running", "Serial": "U2", "LastSerial": "U1", "LastLot": "L1", "LastVerdict": "retest", "Lot": "L1",
         "Retest": 1,
         "lot Fail": 3, "lot Retest": 1, "lot Pass": 0,

@@ -44,7 +44,7 @@ def registry(url: str) -> Iterator[Registry]:
         yield opened
 
 
-def judge(registry: Registry, first: int, count: int) -> list[str]:
+def give_verdicts(registry: Registry, first: int, count: int) -> list[str]:
     """Give units a verdict; return their serials."""
     serials = [f"U{number}" for number in range(first, first + count)]
     with registry.transaction():
@@ -59,8 +59,8 @@ class Receiver:
 
     port: int = 0
     answer: Callable[[int], int] = lambda number: 204
-    got: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
-    asked: int = 0
+    deliveries: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
+    requests: int = 0
 
     @property
     def url(self) -> str:
@@ -69,15 +69,15 @@ class Receiver:
 
 @pytest.fixture
 def receiver() -> Iterator[Receiver]:
-    made = Receiver()
+    http_receiver = Receiver()
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["content-length"]))
-            made.asked += 1
-            status = made.answer(made.asked)
+            http_receiver.requests += 1
+            status = http_receiver.answer(http_receiver.requests)
             if status < 300:
-                made.got.append(({name.lower(): value for name, value in self.headers.items()}, body))
+                http_receiver.deliveries.append(({name.lower(): value for name, value in self.headers.items()}, body))
             self.send_response(status)
             self.end_headers()
 
@@ -85,10 +85,10 @@ def receiver() -> Iterator[Receiver]:
             return
 
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    made.port = server.server_address[1]
+    http_receiver.port = server.server_address[1]
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
-    yield made
+    yield http_receiver
     server.shutdown()
     thread.join()
     server.server_close()
@@ -119,28 +119,30 @@ def deliver(registry: Registry, destination: Destination, clock: Callable[[], da
 
 
 def serials_of(receiver: Receiver) -> list[str]:
-    return [json.loads(body)["data"]["serial"] for _, body in receiver.got]
+    return [json.loads(body)["data"]["serial"] for _, body in receiver.deliveries]
 
 
 def test_every_verdict_arrives_once_in_order_with_its_id(registry, receiver, webhook):
-    serials = judge(registry, 0, 45)
+    serials = give_verdicts(registry, 0, 45)
     deliver(registry, webhook)
     deliver(registry, webhook)
     assert serials_of(receiver) == serials
-    wanted = events_after(registry, {}, 100, ["verdict"]).events
-    assert [headers["webhook-id"] for headers, _ in receiver.got] == [event.event_id for event in wanted]
-    assert [json.loads(body) for _, body in receiver.got] == [event.to_json() for event in wanted]
+    expected_events = events_after(registry, {}, 100, ["verdict"]).events
+    assert [headers["webhook-id"] for headers, _ in receiver.deliveries] == [
+        event.event_id for event in expected_events
+    ]
+    assert [json.loads(body) for _, body in receiver.deliveries] == [event.to_json() for event in expected_events]
 
 
 def test_the_library_of_the_standard_verifies_the_signature(registry, receiver, webhook, tmp_path):
-    judge(registry, 0, 1)
+    give_verdicts(registry, 0, 1)
     deliver(registry, webhook)
-    ((headers, body),) = receiver.got
+    ((headers, body),) = receiver.deliveries
     secret = (tmp_path / "secret").read_text().strip()
     (block,) = [part.split("```")[0] for part in DOCS.split("```python\n")[1:]]
-    shown = {"secret": secret, "body": body, "headers": headers}
-    exec(block, shown)
-    assert shown["event"] == json.loads(body)
+    signed = {"secret": secret, "body": body, "headers": headers}
+    exec(block, signed)
+    assert signed["event"] == json.loads(body)
     verifier = Webhook(secret)
     assert verifier.verify(body, headers)["data"]["serial"] == "U0"
     with pytest.raises(WebhookVerificationError):
@@ -153,7 +155,7 @@ def test_nothing_is_lost_and_little_is_doubled_while_the_receiver_fails_and_the_
     receiver.answer = lambda number: 503 if number % 3 == 0 else 204
     clock, serials = Clock(), []
     for part in range(6):
-        serials += judge(registry, 10 * part, 10)
+        serials += give_verdicts(registry, 10 * part, 10)
         for _ in range(8):
             with open_registry(url) as restarted:
                 deliver(restarted, webhook, clock)
@@ -166,59 +168,59 @@ def test_nothing_is_lost_and_little_is_doubled_while_the_receiver_fails_and_the_
 class Noting:
     """A sender that notes what it brings, and lets something happen while it does."""
 
-    got: list[str]
+    deliveries: list[str]
     meanwhile: Callable[[], object] = lambda: None
     max_events: int = 10
 
     def send(self, events):
-        self.got += [event.data["serial"] for event in events]
+        self.deliveries += [event.data["serial"] for event in events]
         self.meanwhile()
 
 
 def test_two_processes_on_one_registry_send_everything_once(registry, url, webhook):
-    got, clock = [], Clock()
+    deliveries, clock = [], Clock()
     with open_registry(url) as elsewhere:
-        second = Forwarder(elsewhere, Destination(webhook.settings, lambda: nullcontext(Noting(got))), clock)
-        busy = Noting(got, meanwhile=second.step)
+        second = Forwarder(elsewhere, Destination(webhook.settings, lambda: nullcontext(Noting(deliveries))), clock)
+        busy = Noting(deliveries, meanwhile=second.step)
         first = Forwarder(registry, Destination(webhook.settings, lambda: nullcontext(busy)), clock)
-        serials = judge(registry, 0, 45)
+        serials = give_verdicts(registry, 0, 45)
         with first:
             while first.step():
                 second.step()
-        assert got == serials
+        assert deliveries == serials
         # One that ends gives the destination back: the other goes on at once.
-        serials += judge(registry, 45, 3)
+        serials += give_verdicts(registry, 45, 3)
         with second:
             assert not second.step()
-        assert got == serials
+        assert deliveries == serials
 
 
 def test_what_a_process_held_that_was_killed_is_free_after_the_lease(registry, url, webhook):
-    got, clock = [], Clock()
-    noting = Destination(webhook.settings, lambda: nullcontext(Noting(got)))
+    deliveries, clock = [], Clock()
+    noting = Destination(webhook.settings, lambda: nullcontext(Noting(deliveries)))
     killed = Forwarder(registry, noting, clock)
-    serials = judge(registry, 0, 2)
+    serials = give_verdicts(registry, 0, 2)
     killed.step()
-    serials += judge(registry, 2, 2)
+    serials += give_verdicts(registry, 2, 2)
     with open_registry(url) as elsewhere, Forwarder(elsewhere, noting, clock) as second:
         clock.now += timedelta(seconds=LEASE_S - 1)
         second.step()
-        assert got == serials[:2]
+        assert deliveries == serials[:2]
         clock.now += timedelta(seconds=2)
         second.step()
-        assert got == serials
+        assert deliveries == serials
         # Back from a long sleep, the first one finds it taken.
-        serials += judge(registry, 4, 1)
+        serials += give_verdicts(registry, 4, 1)
         killed.step()
-        assert got == serials[:4]
+        assert deliveries == serials[:4]
         second.step()
-    assert got == serials
+    assert deliveries == serials
 
 
 @pytest.mark.parametrize("jump", [-timedelta(days=1), timedelta(days=1)])
 def test_a_clock_that_is_set_stops_no_destination_and_status_says_so(registry, receiver, webhook, jump):
     clock = Clock()
-    judge(registry, 1, 3)
+    give_verdicts(registry, 1, 3)
     receiver.answer = lambda number: 503
     # It failed, is served by a process that is killed, and then the clock is set.
     dead = Forwarder(registry, webhook, clock)
@@ -234,7 +236,7 @@ def test_a_clock_that_is_set_stops_no_destination_and_status_says_so(registry, r
             pass
         # Nor does one that goes on living lose its hold for a day.
         clock.now += jump
-        judge(registry, 4, 1)
+        give_verdicts(registry, 4, 1)
         while forwarder.step():
             pass
         assert status_json(registry, clock.now)[0]["served_by"] == forwarder.holder
@@ -242,10 +244,10 @@ def test_a_clock_that_is_set_stops_no_destination_and_status_says_so(registry, r
 
 
 def test_a_process_that_lost_its_lease_while_it_sent_moves_nothing_back(registry, url, webhook):
-    got, clock = [], Clock()
-    serials = judge(registry, 0, 20)
+    deliveries, clock = [], Clock()
+    serials = give_verdicts(registry, 0, 20)
     with open_registry(url) as elsewhere:
-        noting = Destination(webhook.settings, lambda: nullcontext(Noting(got)))
+        noting = Destination(webhook.settings, lambda: nullcontext(Noting(deliveries)))
         second = Forwarder(elsewhere, noting, clock)
 
         def meanwhile():
@@ -255,13 +257,13 @@ def test_a_process_that_lost_its_lease_while_it_sent_moves_nothing_back(registry
 
         slow = Noting([], meanwhile=meanwhile)
         Forwarder(registry, Destination(webhook.settings, lambda: nullcontext(slow)), clock).step()
-        assert got == serials
+        assert deliveries == serials
         (state,) = registry.outbox.deliveries()
         assert state.cursor == registry.outbox.end() and state.delivered == 20
 
 
 def test_the_delay_grows_until_it_is_a_quarter_of_an_hour(registry, receiver, webhook):
-    judge(registry, 0, 1)
+    give_verdicts(registry, 0, 1)
     receiver.answer = lambda number: 500
     clock, waits = Clock(), []
     for failures in range(1, 14):
@@ -269,32 +271,32 @@ def test_the_delay_grows_until_it_is_a_quarter_of_an_hour(registry, receiver, we
         (state,) = registry.outbox.deliveries()
         assert state.failures == failures and "500" in state.error
         waits.append((state.not_before - clock.now).total_seconds())
-        asked, clock.now = receiver.asked, state.not_before - timedelta(seconds=0.1)
+        requests_before, clock.now = receiver.requests, state.not_before - timedelta(seconds=0.1)
         deliver(registry, webhook, clock)
-        assert receiver.asked == asked, "asked before the delay was over"
+        assert receiver.requests == requests_before, "asked before the delay was over"
         clock.now = state.not_before
     assert waits == [1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 900, 900, 900]
 
 
 def test_a_destination_that_is_new_begins_with_what_happens_from_now_on(registry, receiver, webhook):
-    judge(registry, 0, 3)
+    give_verdicts(registry, 0, 3)
     settings = replace(webhook.settings, begin="now")
     now = Destination(settings, webhook.open_sender)
     deliver(registry, now)
-    serials = judge(registry, 3, 2)
+    serials = give_verdicts(registry, 3, 2)
     deliver(registry, now)
     assert serials_of(receiver) == serials
 
 
 def test_a_destination_gets_the_kinds_it_asked_for(registry, receiver, webhook):
-    judge(registry, 0, 2)
+    give_verdicts(registry, 0, 2)
     store_alert(registry, ("yield", "L1", ""), {"kind": "yield", "lot": "L1", "text": {"en": "x"}}, is_open=True)
     deliver(registry, Destination(replace(webhook.settings, events=("alert",)), webhook.open_sender))
-    assert [json.loads(body)["type"] for _, body in receiver.got] == ["softcal.alert.raised"]
+    assert [json.loads(body)["type"] for _, body in receiver.deliveries] == ["softcal.alert.raised"]
 
 
 def test_a_receiver_that_is_not_there_is_one_line_and_no_loss(registry, webhook, receiver):
-    judge(registry, 0, 1)
+    give_verdicts(registry, 0, 1)
     away = replace(webhook.settings, url="http://127.0.0.1:9/none")
     deliver(registry, Destination(away, lambda: open_webhook(away)))
     (state,) = registry.outbox.deliveries()
@@ -351,8 +353,8 @@ ALERT = {
 
 
 def mail_settings(port: int, **more) -> MailSettings:
-    facts = {"name": "people", "server": f"smtp://127.0.0.1:{port}", "sender": "line@plant.example"}
-    return MailSettings(**facts | {"to": ("q@plant.example",), "begin": "first"} | more)
+    values = {"name": "people", "server": f"smtp://127.0.0.1:{port}", "sender": "line@plant.example"}
+    return MailSettings(**values | {"to": ("q@plant.example",), "begin": "first"} | more)
 
 
 def test_alerts_arrive_by_mail_in_the_language_of_the_reader_and_none_is_lost(registry, mailbox):
@@ -360,7 +362,7 @@ def test_alerts_arrive_by_mail_in_the_language_of_the_reader_and_none_is_lost(re
     settings = mail_settings(port, language="ko")
     people, clock = Destination(settings, lambda: open_mail(settings)), Clock()
     store_alert(registry, ("golden", "", "line-1"), ALERT, is_open=True)
-    judge(registry, 0, 5)
+    give_verdicts(registry, 0, 5)
     box.refused = 2
     for _ in range(4):
         deliver(registry, people, clock)
@@ -374,7 +376,7 @@ def test_alerts_arrive_by_mail_in_the_language_of_the_reader_and_none_is_lost(re
 def test_what_waits_goes_out_as_one_mail(registry, mailbox):
     box, port = mailbox
     settings = mail_settings(port, events=("verdict",))
-    judge(registry, 0, 7)
+    give_verdicts(registry, 0, 7)
     deliver(registry, Destination(settings, lambda: open_mail(settings)))
     (mail,) = [message_from_bytes(content, policy=policy.default) for content in box.mails]
     lines = mail.get_content().splitlines()
@@ -384,7 +386,7 @@ def test_what_waits_goes_out_as_one_mail(registry, mailbox):
 
 
 def test_the_same_events_make_the_same_mail(registry):
-    judge(registry, 0, 2)
+    give_verdicts(registry, 0, 2)
     events = events_after(registry, {}, 9, ["verdict"]).events
     first, second = (compose_mail(events, mail_settings(25)).as_bytes() for _ in range(2))
     assert first == second
@@ -398,27 +400,27 @@ def test_a_line_break_in_an_event_makes_no_header_of_a_mail(registry):
 
 
 def test_mail_goes_over_tls_with_a_password_from_a_file(registry, tmp_path, tls, some_port):
-    seen, port = [], some_port()
+    mails, port = [], some_port()
 
-    def known(server, session, envelope, mechanism, data):
-        seen.append((isinstance(data, LoginPassword), data.login, data.password, session.ssl is not None))
+    def check_login(server, session, envelope, mechanism, data):
+        mails.append((isinstance(data, LoginPassword), data.login, data.password, session.ssl is not None))
         return AuthResult(success=data.password == b"right")
 
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.load_cert_chain(tls.cert, tls.key)
     box = Mailbox()
-    options = {"tls_context": context, "require_starttls": True, "authenticator": known, "auth_required": True}
+    options = {"tls_context": context, "require_starttls": True, "authenticator": check_login, "auth_required": True}
     controller = Controller(box, hostname="127.0.0.1", port=port, **options)
     controller.start()
     try:
         address = {"server": f"smtp+starttls://line@localhost:{port}", "ca_file": tls.ca, "events": ("verdict",)}
         (tmp_path / "password").write_text("right\n")
         settings = mail_settings(port, **address, password_file=tmp_path / "password")
-        judge(registry, 0, 1)
+        give_verdicts(registry, 0, 1)
         deliver(registry, Destination(settings, lambda: open_mail(settings)))
-        assert len(box.mails) == 1 and seen == [(True, b"line", b"right", True)]
-        stranger = replace(settings, name="other", ca_file=None)
-        deliver(registry, Destination(stranger, lambda: open_mail(stranger)))
+        assert len(box.mails) == 1 and mails == [(True, b"line", b"right", True)]
+        other_settings = replace(settings, name="other", ca_file=None)
+        deliver(registry, Destination(other_settings, lambda: open_mail(other_settings)))
         state = {d.destination: d for d in registry.outbox.deliveries()}["other"]
         assert state.failures == 1 and state.delivered == 0 and len(box.mails) == 1
     finally:

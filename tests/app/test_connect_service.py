@@ -36,7 +36,7 @@ from softcal.db.entries import GoldenRun
 from softcal.db.maintenance.sync import synchronise
 from tests.wait import wait_until
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 SOFTCAL = str(Path(sys.executable).with_name("softcal"))
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 DOCS = (Path(__file__).parents[2] / "docs" / "connect.md").read_text(encoding="utf-8")
@@ -44,14 +44,14 @@ DOCS = (Path(__file__).parents[2] / "docs" / "connect.md").read_text(encoding="u
 
 @pytest.fixture
 def url(tmp_path: Path) -> str:
-    made = f"sqlite:///{tmp_path / 'registry.db'}"
-    with open_registry(made) as registry:
+    database_url = f"sqlite:///{tmp_path / 'registry.db'}"
+    with open_registry(database_url) as registry:
         registry.lots.add(Lot("L1", "S0", 50.0))
         registry.people.set("MES", "engineer", "2580", actor="admin")
-    return made
+    return database_url
 
 
-def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+def run_command(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
     code = main(arguments)
     captured = capsys.readouterr()
     return code, captured.out, captured.err
@@ -59,23 +59,23 @@ def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int,
 
 def test_a_token_is_shown_once_and_its_whole_life_is_in_the_trail(url, capsys):
     create = ["api", "token", "create", "--registry", url, "--account", "MES", "--purpose", "hall 3"]
-    code, secret, note = said(create, capsys)
+    code, secret, note = run_command(create, capsys)
     assert code == 0 and secret.startswith("softcal_") and note
-    code, out, _ = said(["api", "token", "list", "--registry", url, "--json", "-"], capsys)
+    code, out, _ = run_command(["api", "token", "list", "--registry", url, "--json", "-"], capsys)
     (token,) = json.loads(out)["tokens"]
     assert secret.strip() not in out and token["account"] == "MES"
     withdraw = ["api", "token", "withdraw", token["token_id"], "--registry", url, "--reason", "lost"]
-    assert said(withdraw, capsys)[0] == 0
+    assert run_command(withdraw, capsys)[0] == 0
     with open_registry(url) as registry:
-        told = [(row.action, row.reason) for row in registry.trail.of("tokens", (token["token_id"],))]
-    assert told == [("add", ""), ("withdraw", "lost")]
-    code, _, error = said(withdraw, capsys)
+        actions = [(row.action, row.reason) for row in registry.trail.list_rows("tokens", (token["token_id"],))]
+    assert actions == [("add", ""), ("withdraw", "lost")]
+    code, _, error = run_command(withdraw, capsys)
     assert code == 2 and len(error.strip().splitlines()) == 1
 
 
 def test_an_account_that_is_not_there_gets_no_token(url, capsys):
     create = ["api", "token", "create", "--registry", url, "--account", "eve", "--purpose", "x"]
-    code, out, error = said(create, capsys)
+    code, out, error = run_command(create, capsys)
     assert (code, out) == (2, "") and "eve" in error
 
 
@@ -96,7 +96,7 @@ def test_the_api_answers_by_its_command_and_ends_by_a_signal(url, some_port):
         request = urllib.request.Request(
             f"http://127.0.0.1:{port}/v1/me", headers={"Authorization": f"Bearer {secret}"}
         )
-        assert json.load(answered(request, server))["account"] == "MES"
+        assert json.load(wait_for_answer(request, server))["account"] == "MES"
         # The same port again is one line.
         second = subprocess.run(command, capture_output=True, text=True, timeout=120)
         assert second.returncode == 2 and str(port) in second.stderr and "Traceback" not in second.stderr
@@ -105,7 +105,7 @@ def test_the_api_answers_by_its_command_and_ends_by_a_signal(url, some_port):
         assert server.wait(timeout=60) in (0, -signal.SIGTERM)
 
 
-def answered(request, server):
+def wait_for_answer(request, server):
     end_s = time.monotonic() + 120
     while True:
         assert server.poll() is None and time.monotonic() < end_s, "the server does not answer"
@@ -123,7 +123,7 @@ secret_file = "mes.secret"
 
 
 @pytest.mark.parametrize(
-    ("text", "said_of"),
+    ("text", "message"),
     [
         ("[[webhok]]\n", "webhook"),
         (WEBHOOK + 'ulr = "x"\n', "url"),
@@ -141,10 +141,10 @@ secret_file = "mes.secret"
         ("", "plant.toml"),
     ],
 )
-def test_a_file_that_cannot_be_is_one_line_that_says_where(url, tmp_path, capsys, text, said_of):
+def test_a_file_that_cannot_be_is_one_line_that_says_where(url, tmp_path, capsys, text, message):
     (tmp_path / "plant.toml").write_text(text)
-    code, _, error = said(["connect", "run", str(tmp_path / "plant.toml"), "--registry", url], capsys)
-    assert code == 2 and said_of in error, error
+    code, _, error = run_command(["connect", "run", str(tmp_path / "plant.toml"), "--registry", url], capsys)
+    assert code == 2 and message in error, error
     assert [line for line in error.splitlines() if line.startswith("softcal: ")] == error.splitlines()[-1:]
 
 
@@ -158,11 +158,11 @@ def test_the_file_of_the_documentation_is_read_as_it_stands(tmp_path):
 
 def test_a_secret_is_written_once_for_its_owner_alone(tmp_path, capsys):
     path = tmp_path / "mes.secret"
-    assert said(["connect", "secret", "--out", str(path)], capsys)[0] == 0
+    assert run_command(["connect", "secret", "--out", str(path)], capsys)[0] == 0
     assert path.read_text().startswith("whsec_") and path.stat().st_mode & 0o777 == 0o600
-    kept = path.read_text()
-    code, _, error = said(["connect", "secret", "--out", str(path)], capsys)
-    assert code == 2 and str(path) in error and path.read_text() == kept
+    text = path.read_text()
+    code, _, error = run_command(["connect", "secret", "--out", str(path)], capsys)
+    assert code == 2 and str(path) in error and path.read_text() == text
 
 
 def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
@@ -175,15 +175,15 @@ def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
         # A second failure is the same alert; so it is for a watch that begins anew.
         registry.stations.add_golden_run(replace(bad, made_at=NOW + timedelta(minutes=1)))
         assert monitor.update(NOW) == AlertMonitor(registry).update(NOW) == 0
-        (told,) = open_alerts(registry).values()
-        assert told["is_urgent"] and "line-1" in told["text"]["en"] and "line-1" in told["text"]["ko"]
+        (alert,) = open_alerts(registry).values()
+        assert alert["is_urgent"] and "line-1" in alert["text"]["en"] and "line-1" in alert["text"]["ko"]
         registry.stations.add_golden_run(replace(bad, made_at=NOW + timedelta(hours=1), passed=True))
         assert monitor.update(NOW) == 1 and open_alerts(registry) == {}
         kinds = [event.kind for event in events_after(registry, {}, 99, ["alert"]).events]
         assert kinds == ["alert.raised", "alert.cleared"] and registry.verify() == []
 
 
-def test_an_alert_that_two_processes_see_at_once_is_told_once(url, monkeypatch):
+def test_an_alert_that_two_processes_see_at_once_is_reported_once(url, monkeypatch):
     with open_registry(url) as registry, open_registry(url) as elsewhere:
         first, second = AlertMonitor(registry), AlertMonitor(elsewhere)
         registry.stations.add_golden_run(GoldenRun("line-1", "L1", "G1", NOW, 0.3, "N", False))
@@ -194,10 +194,10 @@ def test_an_alert_that_two_processes_see_at_once_is_told_once(url, monkeypatch):
 
 def _meanwhile(registry, monkeypatch, second):
     """Return the open alerts as one process reads them just before the other one raises its own."""
-    found = open_alerts(registry)
+    alerts = open_alerts(registry)
     monkeypatch.setattr(alert_monitor, "open_alerts", open_alerts)
     assert second.update(NOW) == 1
-    return found
+    return alerts
 
 
 def test_a_yield_that_did_not_drop_is_no_alert(url):
@@ -211,7 +211,7 @@ def test_a_yield_that_did_not_drop_is_no_alert(url):
         assert open_alerts(registry) == {}
 
 
-def test_a_conflict_of_two_registries_is_told_as_retest(calibrated, tmp_path):
+def test_a_conflict_of_two_registries_is_reported_as_retest(calibrated, tmp_path):
     with open_registry(calibrated) as here:
         lot = here.lots.ids()[0]
         here.outbox.begin("x", {})
@@ -275,9 +275,9 @@ def test_a_run_delivers_what_waits_and_ends_by_a_signal(url, tmp_path, some_port
 @pytest.mark.long
 def test_a_run_whose_port_is_taken_is_one_line(url, some_port):
     port = some_port()
-    with socket.socket() as taken, open_registry(url) as registry:
-        taken.bind(("127.0.0.1", port))
-        taken.listen()
+    with socket.socket() as occupied, open_registry(url) as registry:
+        occupied.bind(("127.0.0.1", port))
+        occupied.listen()
         settings = ConnectSettings(opcua=OpcUaSettings(endpoint=f"opc.tcp://127.0.0.1:{port}/softcal"))
         with pytest.raises(InputError, match=str(port)):
             run_connect(registry, settings, threading.Event())
@@ -303,8 +303,12 @@ def test_the_batch_writes_its_results_as_parquet(trained_lot, tmp_path):
     assert main(["batch", lot, "--registry", url, "--hidden", "16,8", "--no-own", *files]) == 1
     table, report = pq.read_table(tmp_path / "r.parquet"), json.loads((tmp_path / "r.json").read_text())
     assert table.schema.equals(RESULTS)
-    facts = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
-    assert (facts["schema"], facts["lot"], facts["reference_unit"]) == ("softcal.results/1", report["lot"], "N")
+    metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
+    assert (metadata["schema"], metadata["lot"], metadata["reference_unit"]) == (
+        "softcal.results/1",
+        report["lot"],
+        "N",
+    )
     for row, unit in zip(table.to_pylist(), report["units"], strict=True):
         errors = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
         texts = ("serial", "verdict", "reasons", "reason_codes", "released", "audited", "knowledge", "fit_s")

@@ -29,8 +29,8 @@ SMALL = DemoConfig(
 
 @pytest.mark.long
 def test_a_pressed_unit_comes_out_better_than_it_went_in(tmp_path: Path) -> None:
-    said: list[str] = []
-    folder = press_demo_lot(SMALL, tmp_path / "lot", said.append)
+    messages: list[str] = []
+    folder = press_demo_lot(SMALL, tmp_path / "lot", messages.append)
     source = pd.read_csv(folder.source_path)
     unit = pd.read_csv(folder.unit_paths["DEMO-01"])
     assert list(source.columns) == ["t_s", "output", "reference", "stage_mm"]
@@ -40,14 +40,14 @@ def test_a_pressed_unit_comes_out_better_than_it_went_in(tmp_path: Path) -> None
         assert registry.verify() == []
     row = dict(zip(TABLE_HEADER, table_row(result), strict=True))
     assert row["after [N]"] < 0.5 * row["before [N]"]
-    assert len(said) == 3
+    assert len(messages) == 3
 
 
 def test_a_lot_pressed_before_is_taken_as_it_is(lot_folder: Path) -> None:
-    said: list[str] = []
-    folder = press_demo_lot(SMALL, lot_folder, said.append)
+    messages: list[str] = []
+    folder = press_demo_lot(SMALL, lot_folder, messages.append)
     assert folder.lot.id == "small"
-    assert len(said) == 1
+    assert len(messages) == 1
 
 
 def test_a_folder_that_is_no_lot_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,7 +76,7 @@ def test_a_bar_begins_at_once_and_says_how_long_it_will_take(monkeypatch, capsys
     (first,) = capsys.readouterr().err.splitlines()
     for share in (0.25, 0.5, 0.75, 1.0):
         now_s[0] += 10.0
-        bar.reach(share, "unit S2")
+        bar.show_progress(share, "unit S2")
     lines = capsys.readouterr().err.splitlines()
     assert "loading" in first and " left" not in first
     assert [line.partition("about ")[2].partition(" left")[0] for line in lines] == ["30.0 s", "20.0 s", "10.0 s", ""]

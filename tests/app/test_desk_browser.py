@@ -20,29 +20,29 @@ CONTRAST = Path(__file__).with_name("contrast.js").read_text()
 FADING_S = 10.0
 """So long what is drawn anew may be pale: it is shown again at full strength when the page is complete."""
 
-SAY = partial(text, "en")
-DESK_PAGES = {
-    "lots": SAY("page.lots"),
-    "lot?lot=small": SAY("lot.distribution"),
-    "lot?lot=small&tab=units": SAY("lot.process"),
-    "lot?lot=small&tab=audit": SAY("audit.units"),
-    "lot?lot=small&tab=release": SAY("release.archive"),
-    "lot?lot=small&tab=networks": SAY("networks.compare"),
-    "lot?lot=small&tab=limits": SAY("limits.versions"),
-    "lot?lot=small&tab=known_loads": SAY("known_loads.bring"),
-    "unit?unit=A2": SAY("unit.why"),
-    "unit?unit=A2&tab=recording": SAY("unit.map"),
-    "unit?unit=A2&tab=compare": SAY("compare.interval"),
-    "lots?tab=rig&lot=small": f"3 · {SAY('source.step.3')}",
-    "gap": SAY("page.gap"),
-    "station": SAY("station.setup"),
-    "station?tab=cells": SAY("golden.title"),
-    "settings?tab=laboratory": SAY("laboratory.title"),
+TRANSLATE = partial(text, "en")
+OFFICE_PAGES = {
+    "lots": TRANSLATE("page.lots"),
+    "lot?lot=small": TRANSLATE("lot.distribution"),
+    "lot?lot=small&tab=units": TRANSLATE("lot.process"),
+    "lot?lot=small&tab=audit": TRANSLATE("audit.units"),
+    "lot?lot=small&tab=release": TRANSLATE("release.archive"),
+    "lot?lot=small&tab=networks": TRANSLATE("networks.compare"),
+    "lot?lot=small&tab=limits": TRANSLATE("limits.versions"),
+    "lot?lot=small&tab=known_loads": TRANSLATE("known_loads.bring"),
+    "unit?unit=A2": TRANSLATE("unit.why"),
+    "unit?unit=A2&tab=recording": TRANSLATE("unit.map"),
+    "unit?unit=A2&tab=compare": TRANSLATE("compare.interval"),
+    "lots?tab=rig&lot=small": f"3 · {TRANSLATE('source.step.3')}",
+    "gap": TRANSLATE("page.gap"),
+    "station": TRANSLATE("station.setup"),
+    "station?tab=cells": TRANSLATE("golden.title"),
+    "settings?tab=laboratory": TRANSLATE("laboratory.title"),
 }
 
 
 @pytest.fixture(scope="module")
-def desk(
+def office(
     small_calibrated: Path, tmp_path_factory: pytest.TempPathFactory, serve: Callable, add_everybody: Callable
 ) -> Iterator[tuple[str, str]]:
     """The address of the application and the URL of its registry."""
@@ -69,19 +69,19 @@ def panel(chromium: Browser) -> Iterator[Page]:
 
 def _sign_in(page: Page, address: str, remembered: Callable) -> None:
     page.goto(f"{address}/sign_in")
-    page.get_by_label(SAY("sign_in.name")).fill("Erin")
-    page.get_by_label(SAY("sign_in.pin")).fill("2580")
+    page.get_by_label(TRANSLATE("sign_in.name")).fill("Erin")
+    page.get_by_label(TRANSLATE("sign_in.pin")).fill("2580")
     page.keyboard.press("Enter")
     page.get_by_role("heading", name="Erin").wait_for()
     remembered(page, "session")
 
 
 def test_every_page_fits_a_small_panel_and_shows_no_error(
-    desk: tuple[str, str], panel: Page, remembered: Callable
+    office: tuple[str, str], panel: Page, remembered: Callable
 ) -> None:
-    address, _ = desk
+    address, _ = office
     _sign_in(panel, address, remembered)
-    for path, heading in DESK_PAGES.items():
+    for path, heading in OFFICE_PAGES.items():
         panel.goto(f"{address}/{path}")
         panel.get_by_role("heading", name=heading, exact=True).wait_for()
         assert panel.get_by_test_id("stException").count() == 0, path
@@ -95,29 +95,29 @@ CUT_OFF = """() => [...document.querySelectorAll('[data-testid=stMetric] *')]
 
 def _fits(page: Page) -> None:
     assert page.evaluate(CUT_OFF) == [], page.url
-    width, room = page.evaluate("() => [document.documentElement.scrollWidth, window.innerWidth]")
-    assert width <= room, page.url
+    width, window_width = page.evaluate("() => [document.documentElement.scrollWidth, window.innerWidth]")
+    assert width <= window_width, page.url
     assert page.get_by_test_id("stAlertContentError").count() == 0, page.url
 
 
 def _weak(page: Page) -> list[str]:
     """Return the texts that stay too pale on their ground."""
     deadline_s = time.monotonic() + FADING_S
-    while (found := page.evaluate(CONTRAST)) and time.monotonic() < deadline_s:
+    while (weak_texts := page.evaluate(CONTRAST)) and time.monotonic() < deadline_s:
         page.wait_for_timeout(250)
-    return list(found)
+    return list(weak_texts)
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_every_text_stands_out_from_its_ground(
-    desk: tuple[str, str], chromium: Browser, theme: Literal["light", "dark"], remembered: Callable
+def test_every_text_stands_out_from_its_background(
+    office: tuple[str, str], chromium: Browser, theme: Literal["light", "dark"], remembered: Callable
 ) -> None:
-    address, _ = desk
+    address, _ = office
     context = chromium.new_context(viewport={"width": 1280, "height": 900}, color_scheme=theme)
     page = context.new_page()
     page.set_default_timeout(120_000)
     _sign_in(page, address, remembered)
-    paths = {"sign_in": "Erin", **DESK_PAGES}
+    paths = {"sign_in": "Erin", **OFFICE_PAGES}
     weak = {}
     for path, heading in paths.items():
         page.goto(f"{address}/{path}")
@@ -127,16 +127,16 @@ def test_every_text_stands_out_from_its_ground(
     page.locator(".sc-word").wait_for()
     weak["line"] = _weak(page)
     context.close()
-    assert {path: found for path, found in weak.items() if found} == {}
+    assert {path: weak_texts for path, weak_texts in weak.items() if weak_texts} == {}
 
 
 LONG = f"LOT-{'ABCDEFGHIJ' * 6}", f"SERIAL-{'0123456789' * 5}-XYZ-99"
 
 
 @pytest.fixture(scope="module")
-def long_names(desk: tuple[str, str]) -> tuple[str, str, str]:
+def long_names(office: tuple[str, str]) -> tuple[str, str, str]:
     """The address of the application, a lot and a unit of it, both with names of 64 characters."""
-    address, url = desk
+    address, url = office
     lot_id, serial = LONG
     with open_registry(url) as registry:
         lot, state = registry.lots.get("small"), registry.calibrations.get("A1").state
@@ -163,19 +163,19 @@ def test_names_of_64_letters_are_read_in_full_on_a_small_panel(
     context.close()
 
 
-def test_one_click_on_a_row_of_the_lot_opens_the_unit(desk: tuple[str, str], page: Page) -> None:
-    address, _ = desk
+def test_one_click_on_a_row_of_the_lot_opens_the_unit(office: tuple[str, str], page: Page) -> None:
+    address, _ = office
     page.goto(f"{address}/lot?lot=small&tab=units")
     page.get_by_test_id("stDataFrame").last.wait_for()
     # The worst stands first: the unit that got no map.
     page.get_by_test_id("stDataFrame").last.click(position={"x": 18, "y": 55})
     page.get_by_role("heading", name="A4", exact=True).wait_for()
-    page.get_by_text(SAY("empty.calibration")).wait_for()
+    page.get_by_text(TRANSLATE("empty.calibration")).wait_for()
     assert "unit=small%2FA4" in page.url
 
 
-def test_a_row_of_the_lot_is_reached_and_opened_by_keyboard(desk: tuple[str, str], page: Page) -> None:
-    address, _ = desk
+def test_a_row_of_the_lot_is_reached_and_opened_by_keyboard(office: tuple[str, str], page: Page) -> None:
+    address, _ = office
     page.goto(f"{address}/lot?lot=small&tab=units")
     table = page.get_by_test_id("stDataFrame").last
     table.wait_for()
@@ -187,20 +187,20 @@ def test_a_row_of_the_lot_is_reached_and_opened_by_keyboard(desk: tuple[str, str
 
 
 def test_a_training_goes_on_through_a_reload_and_can_be_stopped(
-    desk: tuple[str, str], page: Page, remembered: Callable
+    office: tuple[str, str], page: Page, remembered: Callable
 ) -> None:
-    address, url = desk
+    address, url = office
     _sign_in(page, address, remembered)
     page.goto(f"{address}/networks?lot=small")
-    page.get_by_label(SAY("networks.max_epochs")).fill("2000")
-    page.get_by_label(SAY("networks.members")).fill("10")
-    page.get_by_role("button", name=SAY("networks.train.do")).click()
-    cancel = page.get_by_role("button", name=SAY("job.cancel"))
+    page.get_by_label(TRANSLATE("networks.max_epochs")).fill("2000")
+    page.get_by_label(TRANSLATE("networks.members")).fill("10")
+    page.get_by_role("button", name=TRANSLATE("networks.train.do")).click()
+    cancel = page.get_by_role("button", name=TRANSLATE("job.cancel"))
     cancel.wait_for()
     page.reload()
     page.get_by_test_id("stEChartsChart").first.wait_for()
     cancel.click()
-    page.get_by_text(SAY("job.cancelled")).wait_for()
+    page.get_by_text(TRANSLATE("job.cancelled")).wait_for()
     with open_registry(url) as registry:
         assert [job.state for job in registry.job_board.jobs("train")] == ["cancelled"]
     expect(cancel).to_have_count(0)
@@ -208,18 +208,18 @@ def test_a_training_goes_on_through_a_reload_and_can_be_stopped(
 
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_a_field_for_files_speaks_the_language_of_its_page(
-    desk: tuple[str, str], panel: Page, remembered: Callable, english_in: Callable, language: str
+    office: tuple[str, str], panel: Page, remembered: Callable, english_in: Callable, language: str
 ) -> None:
-    (address, _), asked = desk, text(language, "choose.files")
+    (address, _), prompt = office, text(language, "choose.files")
     _sign_in(panel, address, remembered)
     panel.goto(f"{address}/new_lot?lang={language}")
     zone = panel.get_by_test_id("stFileUploaderDropzone")
-    expect(zone.get_by_role("button", name=asked)).to_have_attribute("aria-label", asked)
+    expect(zone.get_by_role("button", name=prompt)).to_have_attribute("aria-label", prompt)
     # The icon is a letter font's ligature, and no word that is seen.
     zone.get_by_test_id("stIconMaterial").evaluate("(icon) => icon.remove()")
-    own_words = zone.evaluate("(zone) => zone.innerText")
-    drawn = zone.evaluate(
+    html_text = zone.evaluate("(zone) => zone.innerText")
+    css_text = zone.evaluate(
         "(zone) => [...zone.querySelectorAll('*')].map((e) => getComputedStyle(e, '::after').content).join(' ')"
     )
-    assert asked in drawn and "200" in drawn
-    assert english_in(own_words) == [] and (language == "en" or english_in(drawn.replace("none", "")) == [])
+    assert prompt in css_text and "200" in css_text
+    assert english_in(html_text) == [] and (language == "en" or english_in(css_text.replace("none", "")) == [])

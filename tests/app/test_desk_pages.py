@@ -29,7 +29,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 
 
 def press(screen, key: str, timeout: float | None = None, **values: str) -> None:
@@ -59,10 +59,10 @@ def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated:
     with open_registry(calibrated) as registry:
         limit, rows = registry.lots.limit("small"), registry.trail.rows()
         units = [unit for unit in registry.lots.units("small") if unit.revision is not None]
-        judged = [registry.calibrations.get(unit.serial, lot_id="small").state.limit.maximum_rmse for unit in units]
+        limits = [registry.calibrations.get(unit.serial, lot_id="small").state.limit.maximum_rmse for unit in units]
     assert limit is not None and limit.rmse == 0.25
     assert ("Erin", "set_limit", "drawing D 117 rev. B") in [(row.actor, row.action, row.reason) for row in rows]
-    assert judged and set(judged) == {0.25}
+    assert limits and set(limits) == {0.25}
 
 
 def test_a_limit_somebody_else_changed_meanwhile_is_not_overwritten(calibrated: str, show) -> None:
@@ -115,20 +115,20 @@ def test_rules_that_are_none_and_rules_changed_meanwhile_are_refused_in_words(ca
 
 def test_a_network_is_trained_as_a_job_and_listed(calibrated: str, show, jobs_at_once) -> None:
     screen = show(calibrated, "lot", tab="networks", lot="small")
-    known = len(screen.table[0].value)
+    networks_before = len(screen.table[0].value)
     screen.text_input(key="train-hidden").set_value("8")
     screen.number_input(key="train-epochs").set_value(5)
     press(screen, "networks.train.do", timeout=120)
     assert not screen.error and screen.success
-    assert len(screen.table[0].value) == known + 1
+    assert len(screen.table[0].value) == networks_before + 1
 
 
 def test_networks_and_families_are_compared_on_the_lot(calibrated: str, show, jobs_at_once) -> None:
     screen = show(calibrated, "lot", tab="networks", lot="small")
     press(screen, "networks.compare.do", timeout=120)
     assert not screen.error
-    found = screen.table[-1].value
-    assert set(found["Map"]) == {"auto", "affine"} and (found["Audited"] == 3).all()
+    table = screen.table[-1].value
+    assert set(table["Map"]) == {"auto", "affine"} and (table["Audited"] == 3).all()
 
 
 @pytest.mark.long
@@ -153,9 +153,9 @@ def test_a_rollback_does_what_its_page_said_before(calibrated: str, show, is_dou
 
     with open_registry(calibrated) as registry:
         state = registry.calibrations.get("A1").state
-        doubt = Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}) if is_doubted else None
+        suspicion = Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}) if is_doubted else None
         fit = replace(state.fit, load_rms=1.01 * state.fit.load_rms)
-        registry.calibrations.add("small", replace(state, fit=fit, suspect_audit=doubt), decided_by="release")
+        registry.calibrations.add("small", replace(state, fit=fit, suspect_audit=suspicion), decided_by="release")
         before = verdicts(registry)
     screen = show(calibrated, "unit", tab="history", unit="A1")
     listed = [cell[1:].partition("]")[0] for one in screen.table[1:] for cell in one.value.iloc[:, 0]]
@@ -201,9 +201,9 @@ def test_golden_units_are_charted_with_their_failures(calibrated: str, show) -> 
 
 
 def test_a_station_that_does_not_answer_gets_no_order(calibrated: str, show) -> None:
-    beat = Heartbeat("line-1", StationState.READY, datetime(2026, 5, 4, tzinfo=UTC), process="host:1")
+    heartbeat = Heartbeat("line-1", StationState.READY, datetime(2026, 5, 4, tzinfo=UTC), process="host:1")
     with open_registry(calibrated) as registry:
-        registry.order_queue.beat(beat)
+        registry.order_queue.write_heartbeat(heartbeat)
     screen = show(calibrated, "station")
     assert any(text("en", "station.state.silent") in line.value for line in screen.markdown)
     press(screen, "station.check")
@@ -220,7 +220,7 @@ def process_of(whose: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("state", "age_s", "process", "shown"),
+    ("state", "age_s", "process", "expected_word"),
     [
         # From a clock that is a little ahead: so nobody waits too long for what reads it.
         *((state, -25, "another:1", str(state)) for state in StationState),
@@ -231,28 +231,34 @@ def process_of(whose: str) -> str:
         (StationState.OFF, 5, "gone", "off"),
     ],
 )
-def test_every_screen_and_interface_has_one_word_for_a_station(calibrated, show, state, age_s, process, shown) -> None:
-    def beat() -> Heartbeat:
+def test_every_screen_and_interface_has_one_word_for_a_station(
+    calibrated, show, state, age_s, process, expected_word
+) -> None:
+    def make_heartbeat() -> Heartbeat:
         return Heartbeat("line-1", state, datetime.now(UTC) - timedelta(seconds=age_s), process=process_of(process))
 
-    say = partial(text, "en")
+    translate = partial(text, "en")
     with open_registry(calibrated) as registry:
-        registry.order_queue.beat(beat())
-        at_line = line_view(read_line(registry, Screen()), "", say).cells[0][1]
-        on_wall = [word for _, word, _ in wall_view(registry, lot_view(registry, "small"), (), say).stations]
-        assert station_json(registry, beat())["state"] == shown
+        registry.order_queue.write_heartbeat(make_heartbeat())
+        at_line = line_view(read_line(registry, Screen()), "", translate).cells[0][1]
+        on_wall = [word for _, word, _ in wall_view(registry, lot_view(registry, "small"), (), translate).stations]
+        assert station_json(registry, make_heartbeat())["state"] == expected_word
         # As old as before when the page reads it, however long the others took.
-        registry.order_queue.beat(beat())
-    word = say(f"station.state.{shown}")
-    assert at_line == f"line-1 · {word}" and on_wall == ([] if shown == "off" else [word])
+        registry.order_queue.write_heartbeat(make_heartbeat())
+    word = translate(f"station.state.{expected_word}")
+    assert at_line == f"line-1 · {word}" and on_wall == ([] if expected_word == "off" else [word])
     assert any(f"**{word}**" in line.value for line in show(calibrated, "station").markdown)
 
 
 def test_the_source_is_ordered_from_a_station_that_answers(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
-        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1"))
+        registry.order_queue.write_heartbeat(
+            Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1")
+        )
         screen = show(calibrated, "lots", tab="rig", lot="small")
-        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1"))
+        registry.order_queue.write_heartbeat(
+            Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1")
+        )
         press(screen, "source.step.2")
         (order, _), *_ = registry.order_queue.runs("line-1")
     assert (order.kind, order.serial, order.lot_id, order.actor) == (OrderKind.SOURCE, "A0", "small", "Erin")
@@ -326,33 +332,33 @@ HIDDEN = text("en", "gap.truth.is", causes="").split("**")[0]
 
 
 @pytest.mark.long
-def test_a_mistake_hidden_in_a_practice_rig_is_found_and_told(calibrated: str, show, jobs_at_once) -> None:
+def test_a_mistake_hidden_in_a_practice_rig_is_found_and_reported(calibrated: str, show, jobs_at_once) -> None:
     case = practise("mistakes")
     screen = show(calibrated, "gap", case=str(case))
     screen.button(key="diagnose").click().run(timeout=180)
-    (found,) = revealed(screen)
-    assert text("en", "gap.truth.mistake", mistake="|", channel="", runs="", run="").split("|")[0] in found
+    (mistake,) = revealed(screen)
+    assert text("en", "gap.truth.mistake", mistake="|", channel="", runs="", run="").split("|")[0] in mistake
 
 
-def keep_diagnosis(url: str, case: Path, **facts: object) -> None:
+def store_diagnosis(url: str, case: Path, **content: object) -> None:
     """Register the diagnosis of a case that a job has made."""
     lists = {name: [] for name in ("where", "causes", "ambiguous_with", "missing_channels", "runs")}
     with open_registry(url) as registry:
         board = registry.job_board
         job = board.place("diagnose", {"case": str(case)}, "Erin")
         board.take(job)
-        board.end(job, RunState.DONE, str(facts["verdict"]), {"hidden_fraction": {}, "gap": {}} | lists | facts)
+        board.end(job, RunState.DONE, str(content["verdict"]), {"hidden_fraction": {}, "gap": {}} | lists | content)
 
 
 def test_diagnoses_are_listed_newest_first_and_one_stays_at_its_address(calibrated: str, show, tmp_path: Path) -> None:
     nothing = {"predicted": None, "low": None, "high": None, "held_out": 0.5}
     for name, verdict in (("first", "no_gap"), ("second", "explained_in_part")):
-        keep_diagnosis(calibrated, tmp_path / name, verdict=verdict, shrink=nothing, next_experiment={})
+        store_diagnosis(calibrated, tmp_path / name, verdict=verdict, shrink=nothing, next_experiment={})
     screen = show(calibrated, "gap")
     links = list(screen.table[0].value[text("en", "gap.case")])
     assert ["second" in links[0], "first" in links[1]] == [True, True]
     job = links[1].split("job=")[1].rstrip(")")
-    keep_diagnosis(calibrated, tmp_path / "first", verdict="unknown", shrink=nothing, next_experiment={})
+    store_diagnosis(calibrated, tmp_path / "first", verdict="unknown", shrink=nothing, next_experiment={})
     screen = show(calibrated, "gap", case=str(tmp_path / "first"), job=job)
     assert not screen.exception and not screen.error
     assert text("en", "gap.verdict.no_gap") in screen.header[0].value
@@ -365,15 +371,15 @@ def test_one_click_presses_the_proposed_experiment_on_the_simulated_rig(calibrat
     case = practise("usual")
     proposed = {"profile": "rate_sweep", "why": "three speeds part creep from drift", "minutes": 2.0}
     nothing = {"predicted": None, "low": None, "high": None, "held_out": None}
-    keep_diagnosis(calibrated, case, verdict="ambiguous", shrink=nothing, next_experiment=proposed)
+    store_diagnosis(calibrated, case, verdict="ambiguous", shrink=nothing, next_experiment=proposed)
     screen = show(calibrated, "gap", case=str(case))
     press(screen, "gap.next.do", timeout=180)
     assert not screen.error and not screen.exception
     with open_registry(calibrated) as registry:
         job, *_ = registry.job_board.jobs("diagnose")
         result = registry.job_board.job(job.job_id).result
-    asked = {"case": str(case), "experiment": "rate_sweep"}
-    assert (job.request, job.actor, job.state) == (asked, "Erin", RunState.DONE)
+    request = {"case": str(case), "experiment": "rate_sweep"}
+    assert (job.request, job.actor, job.state) == (request, "Erin", RunState.DONE)
     assert [run["profile"] for run in result["runs"] if run["name"] == "asked-1"] == ["rate sweep"]
     headings = [heading.value for heading in screen.header]
     assert any(text("en", f"gap.verdict.{result['verdict']}") in heading for heading in headings)
@@ -383,9 +389,9 @@ def test_what_no_cause_explains_is_described_on_the_page(calibrated: str, show, 
     case = practise()
     shrink = {"predicted": 0.88, "low": 0.84, "high": 0.92, "held_out": 0.88}
     term = {"place": "output_V", "variable": "load²", "standard_error": 4e-4, "unit": "V", "chosen": 0.75}
-    left = {"formula": ["output_V += -0.0515 V · load²"], "terms": [term], "beside": ["backlash"], "without": 0.17}
-    left |= {"kind": "empirical", "shrink": shrink, "load_N": 6.0, "depth_mm": 3.02}
-    keep_diagnosis(calibrated, case, verdict="unknown", shrink=shrink, next_experiment={}, residual=left)
+    residual = {"formula": ["output_V += -0.0515 V · load²"], "terms": [term], "beside": ["backlash"], "without": 0.17}
+    residual |= {"kind": "empirical", "shrink": shrink, "load_N": 6.0, "depth_mm": 3.02}
+    store_diagnosis(calibrated, case, verdict="unknown", shrink=shrink, next_experiment={}, residual=residual)
     screen = show(calibrated, "gap", case=str(case))
     assert not screen.error and not screen.exception
     assert text("en", "gap.left") in [heading.value for heading in screen.header]
@@ -393,7 +399,7 @@ def test_what_no_cause_explains_is_described_on_the_page(calibrated: str, show, 
     assert any("backlash" in line.value and "17.0 %" in line.value for line in screen.caption)
 
 
-def test_a_column_that_says_nothing_takes_no_room() -> None:
+def test_an_empty_column_takes_no_space() -> None:
     rows = [{"a": 0, "why": "", "remark": ""}, {"a": 1, "why": "", "remark": "old"}]
     assert (
         drop_empty_columns(rows) == [{"a": 0, "remark": ""}, {"a": 1, "remark": "old"}] and drop_empty_columns([]) == []

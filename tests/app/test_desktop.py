@@ -24,14 +24,14 @@ json.dump({{"arguments": sys.argv[1:], "address": address, "health": health}}, o
 @pytest.fixture
 def opened(tmp_path: Path) -> dict:
     """What a browser was started with by `softcal ui --window`; it looks at the address and is closed at once."""
-    browser, seen = tmp_path / "chromium", tmp_path / "seen.json"
-    browser.write_text(BROWSER.format(python=sys.executable, seen=str(seen)))
+    browser, requests = tmp_path / "chromium", tmp_path / "seen.json"
+    browser.write_text(BROWSER.format(python=sys.executable, seen=str(requests)))
     browser.chmod(0o755)
     environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
     command = [SOFTCAL, "ui", "--window", "--kiosk", "--registry", f"sqlite:///{tmp_path / 'r.db'}"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return json.loads(seen.read_text())
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert process.returncode == 0, process.stderr
+    return json.loads(requests.read_text())
 
 
 def test_the_window_shows_a_living_screen_and_closing_it_ends_its_server(opened: dict) -> None:

@@ -85,9 +85,9 @@ def _lines(page: Path) -> list[str]:
     return [line.strip() for text in bare for line in text.splitlines()]
 
 
-def _words(command: str) -> list[str]:
-    words = shlex.split(command.partition(" | ")[0])
-    return words[words.index("softcal") + 1 :]
+def _arguments(command: str) -> list[str]:
+    arguments = shlex.split(command.partition(" | ")[0])
+    return arguments[arguments.index("softcal") + 1 :]
 
 
 def test_every_command_of_a_block_is_understood(capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,7 +97,7 @@ def test_every_command_of_a_block_is_understood(capsys: pytest.CaptureFixture[st
             if any(part in command for part in A_PACKAGE):
                 continue
             try:
-                command_parser().parse_args(_words(command))
+                command_parser().parse_args(_arguments(command))
             except SystemExit:
                 refused.append((page.name, command, capsys.readouterr().err))
     assert refused == []
@@ -147,7 +147,7 @@ def _run(page: str, workplace: Path) -> int:
     for command in _commands(ROOT / page):
         if any(part in command for part in ELSEWHERE):
             continue
-        assert main(_words(command)) in (0, 1), command
+        assert main(_arguments(command)) in (0, 1), command
         count += 1
     return count
 
@@ -163,7 +163,7 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("page", "serial", "least"),
+    ("page", "serial", "min_windows"),
     [
         ("docs/connect.md", "A1", 5),
         pytest.param("docs/engineer.md", "S2", 4, marks=pytest.mark.long),
@@ -176,7 +176,7 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
     ],
 )
 def test_a_page_runs_as_written(
-    workplace: Callable[[str], Path], page: str, serial: str, least: int, require_program: Callable[..., str]
+    workplace: Callable[[str], Path], page: str, serial: str, min_windows: int, require_program: Callable[..., str]
 ) -> None:
     folder = workplace(serial)
     shutil.copy(folder / "plain.csv", folder / "new.csv")
@@ -187,7 +187,7 @@ def test_a_page_runs_as_written(
     for line in _commands(ROOT / page, re.compile("openssl gen")):
         require_program("openssl")
         subprocess.run(line.replace("'&&'", "&&"), shell=True, check=True, capture_output=True)
-    assert _run(page, folder) >= least
+    assert _run(page, folder) >= min_windows
 
 
 @pytest.mark.long
@@ -216,8 +216,8 @@ def _press(folder: Path, profile: Profile, seed: int) -> None:
     folder.mkdir(parents=True)
     table = pd.DataFrame({"t_s": t_s, "stage_mm": stage_mm, "force_N": force_N, "output_V": output_V})
     table.to_csv(folder / "recording.csv", index=False)
-    facts = {"vref_V": 3.3, "adc_bits": 12, "r_series_ohm": 10.0, "sample_rate_Hz": 50.0, "serial": folder.parts[-3]}
-    (folder / "recording.json").write_text(json.dumps(facts), encoding="utf-8")
+    values = {"vref_V": 3.3, "adc_bits": 12, "r_series_ohm": 10.0, "sample_rate_Hz": 50.0, "serial": folder.parts[-3]}
+    (folder / "recording.json").write_text(json.dumps(values), encoding="utf-8")
 
 
 def test_no_command_escapes_in_a_block_that_is_only_indented() -> None:
@@ -233,10 +233,10 @@ def test_every_command_is_run_as_written_or_tried_elsewhere() -> None:
         "docs/tutorial.md", "docs/verdict.md",
     }  # fmt: skip
     for page in [*PAGES, *EXAMPLES]:
-        left = [c for c in _commands(page) if not any(part in c for part in ELSEWHERE)]
-        assert str(page.relative_to(ROOT)) in run or left == [], left
-    for places in [*ELSEWHERE.values(), *OTHER_PROGRAMS.values()]:
-        first = places.partition(",")[0]
+        unchecked = [c for c in _commands(page) if not any(part in c for part in ELSEWHERE)]
+        assert str(page.relative_to(ROOT)) in run or unchecked == [], unchecked
+    for files in [*ELSEWHERE.values(), *OTHER_PROGRAMS.values()]:
+        first = files.partition(",")[0]
         assert (ROOT / first).is_file(), first
 
 
@@ -244,12 +244,14 @@ def test_every_command_of_another_program_is_tried_too() -> None:
     programs = re.compile(
         r"(\S*\b(cp|mkdir|curl|docker|logger|openssl|pip|py|pytest|python3?|for|cd|jupytext)\b|\S+\\Scripts)"
     )
-    left = [(page.name, line) for page in [*PAGES, *EXAMPLES] for line in _lines(page) if programs.match(line)]
-    assert [one for one in left if not any(re.match(begins, one[1]) for begins in OTHER_PROGRAMS)] == []
+    unchecked = [(page.name, line) for page in [*PAGES, *EXAMPLES] for line in _lines(page) if programs.match(line)]
+    assert [one for one in unchecked if not any(re.match(begins, one[1]) for begins in OTHER_PROGRAMS)] == []
 
 
 def test_every_target_of_make_that_a_page_names_exists() -> None:
-    made = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     pages = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"]
-    named = {t for page in pages for t in re.findall(r"(?:^|`)make ([a-z-]+)", page.read_text("utf-8"), re.MULTILINE)}
-    assert named and named <= made
+    documented = {
+        t for page in pages for t in re.findall(r"(?:^|`)make ([a-z-]+)", page.read_text("utf-8"), re.MULTILINE)
+    }
+    assert documented and documented <= targets

@@ -59,7 +59,7 @@ def cluster_elsewhere() -> Iterator[tuple[str, subprocess.Popen[str]]]:
     plain = ["--no-dashboard", "--host", "127.0.0.1"]
     with subprocess.Popen([*dask, "scheduler", "--port", "0", *plain], stderr=subprocess.PIPE, text=True) as scheduler:
         assert scheduler.stderr is not None
-        address = next(found[0] for line in scheduler.stderr if (found := re.search(r"tcp://[0-9.]+:[0-9]+", line)))
+        address = next(match[0] for line in scheduler.stderr if (match := re.search(r"tcp://[0-9.]+:[0-9]+", line)))
         worker = subprocess.Popen(
             [*dask, "worker", address, "--nworkers", "1", "--nthreads", "1", *plain],
             stderr=subprocess.DEVNULL,

@@ -36,16 +36,16 @@ def test_every_unit_of_a_batch_gets_its_figure(lot_folder: Path, registry_url: s
     assert "plotly.min.js" in page and "https://" not in page.split("<body>")[1][:2000]
 
 
-def test_explanation_of_one_unit_is_told_in_words_numbers_and_a_figure(
+def test_explanation_of_one_unit_is_rendered_in_words_numbers_and_a_figure(
     url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capsys.readouterr()
     page, report = tmp_path / "why.html", tmp_path / "why.json"
     assert main(["explain", "--serial", "A2", "--registry", url, "--out", str(page), "--json", str(report)]) == 0
-    facts = json.loads(report.read_text())
-    parts = facts["contributions"].values()
-    assert facts["predicted_rmse"] == pytest.approx(sum(part**2 for part in parts) ** 0.5, rel=1e-6)
-    assert facts["reasons"][0] in " ".join(capsys.readouterr().out.split())
+    content = json.loads(report.read_text())
+    parts = content["contributions"].values()
+    assert content["predicted_rmse"] == pytest.approx(sum(part**2 for part in parts) ** 0.5, rel=1e-6)
+    assert content["reasons"][0] in " ".join(capsys.readouterr().out.split())
     assert "A2" in page.read_text()
 
 

@@ -53,7 +53,7 @@ NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 
 
 @pytest.fixture
-def facts() -> Certificate:
+def certificate() -> Certificate:
     t_s = np.arange(1500) / 50
     force_N = 1.5 - 1.5 * np.cos(t_s)
     estimated = Estimate(t_s, force_N, force_N - 0.1, force_N + 0.1, np.full(1500, "", dtype="<U12"))
@@ -119,47 +119,48 @@ def schema(measured_data: Path) -> xmlschema.XMLSchema:
     return xmlschema.XMLSchema(folder / "dcc.xsd", locations={"https://ptb.de/si": str(folder / "SI_Format.xsd")})
 
 
-def of_lot(facts: Certificate, **changes: Any) -> Certificate:
+def of_lot(certificate: Certificate, **changes: Any) -> Certificate:
     """Return the certificate of a unit of a lot with other properties."""
-    return replace(facts, lot=replace(facts.lot, **changes))
+    return replace(certificate, lot=replace(certificate.lot, **changes))
 
 
-def _variants(facts: Certificate) -> list[Certificate]:
-    bare = replace(of_lot(facts, sensor_model=""), laboratory=Laboratory(), measured=None, before=None, **NOBODY)
+def _variants(certificate: Certificate) -> list[Certificate]:
+    bare = replace(of_lot(certificate, sensor_model=""), laboratory=Laboratory(), measured=None, before=None, **NOBODY)
     unknown = replace(bare, forecast=None, limit=None, verdict="retest", budget=None)
     loose = replace(
-        of_lot(facts, sensor_model=" eGaIn\n3 mm "), laboratory=Laboratory(Party(" Works ", "a@b.c ", "KR", "\tSeoul"))
+        of_lot(certificate, sensor_model=" eGaIn\n3 mm "),
+        laboratory=Laboratory(Party(" Works ", "a@b.c ", "KR", "\tSeoul")),
     )
     others = [
-        of_lot(facts, reference_unit="strain counts"),
-        replace(facts, bands=()),
-        of_lot(facts, sensor_model=" "),
-        replace(facts, reference=SIMULATED),
-        replace(facts, limit=default_limit("N", 0.1, 3.0, DecisionConfig())),
-        replace(facts, load_correction="trimmed", measured=None),
-        replace(facts, measured=ErrorForecast(0.22, 0.0, np.inf)),
-        expired(facts),
+        of_lot(certificate, reference_unit="strain counts"),
+        replace(certificate, bands=()),
+        of_lot(certificate, sensor_model=" "),
+        replace(certificate, reference=SIMULATED),
+        replace(certificate, limit=default_limit("N", 0.1, 3.0, DecisionConfig())),
+        replace(certificate, load_correction="trimmed", measured=None),
+        replace(certificate, measured=ErrorForecast(0.22, 0.0, np.inf)),
+        expired(certificate),
     ]
-    return [facts, bare, unknown, loose, *others]
+    return [certificate, bare, unknown, loose, *others]
 
 
 NOBODY = {"reference": None}
 
 
-def expired(facts: Certificate) -> Certificate:
+def expired(certificate: Certificate) -> Certificate:
     """The same unit, compared with a load cell whose certificate had ended."""
     cell = replace(CELL, used_on=date(2029, 1, 1))
-    bars = tuple(map(str, cell.blocking_reasons(facts.high)))
-    return replace(facts, reference=cell, blocking_reasons=bars, verdict="conditional", reasons=bars)
+    reasons = tuple(map(str, cell.blocking_reasons(certificate.high)))
+    return replace(certificate, reference=cell, blocking_reasons=reasons, verdict="conditional", reasons=reasons)
 
 
-def test_every_certificate_is_valid_against_the_schema(facts: Certificate, schema: xmlschema.XMLSchema) -> None:
-    for variant in _variants(facts):
+def test_every_certificate_is_valid_against_the_schema(certificate: Certificate, schema: xmlschema.XMLSchema) -> None:
+    for variant in _variants(certificate):
         schema.validate(certificate_xml(variant))
 
 
-def test_the_schema_used_here_refuses_what_is_wrong(facts: Certificate, schema: xmlschema.XMLSchema) -> None:
-    good = certificate_xml(facts)
+def test_the_schema_used_here_refuses_what_is_wrong(certificate: Certificate, schema: xmlschema.XMLSchema) -> None:
+    good = certificate_xml(certificate)
     for wrong in (
         good.replace(b'schemaVersion="3.1.2"', b'schemaVersion="3.1.1"'),
         good.replace(b"<dcc:conformity>pass", b"<dcc:conformity>perhaps"),
@@ -173,54 +174,54 @@ def test_the_schema_used_here_refuses_what_is_wrong(facts: Certificate, schema: 
 @pytest.mark.parametrize(
     ("unit", "value", "name"), [("N", 0.21, r"\newton"), ("bar", 21.0, r"\kilo\pascal"), ("1", 0.21, r"\one")]
 )
-def test_numbers_are_in_si_units(facts: Certificate, unit: str, value: float, name: str) -> None:
-    document = ET.fromstring(certificate_xml(of_lot(facts, reference_unit=unit)))
+def test_numbers_are_in_si_units(certificate: Certificate, unit: str, value: float, name: str) -> None:
+    document = ET.fromstring(certificate_xml(of_lot(certificate, reference_unit=unit)))
     real = document.find(".//dcc:results//si:real", NAMESPACES)
     assert real is not None
-    found = {element.tag.rpartition("}")[2]: element.text for element in real.iter()}
-    assert (float(str(found["value"])), found["unit"]) == (pytest.approx(value), name)
-    assert found["coverageProbability"] == "0.95"
+    texts = {element.tag.rpartition("}")[2]: element.text for element in real.iter()}
+    assert (float(str(texts["value"])), texts["unit"]) == (pytest.approx(value), name)
+    assert texts["coverageProbability"] == "0.95"
 
 
-def test_only_a_certificate_that_held_makes_a_result_traceable_and_conformity_stated(facts: Certificate) -> None:
-    text = certificate_xml(facts).decode()
+def test_only_a_certificate_that_held_makes_a_result_traceable_and_conformity_stated(certificate: Certificate) -> None:
+    text = certificate_xml(certificate).decode()
     assert "<dcc:traceable>true" in text and "<dcc:conformity>pass" in text
-    for other in (replace(facts, **NOBODY), expired(facts), replace(facts, **NOBODY, verdict="fail")):
+    for other in (replace(certificate, **NOBODY), expired(certificate), replace(certificate, **NOBODY, verdict="fail")):
         text = certificate_xml(other).decode()
         assert "<dcc:traceable>false" in text and "<dcc:conformity>" not in text
-    assert "D-K-1" in certificate_xml(expired(facts)).decode()
-    simulated = certificate_xml(replace(facts, reference=SIMULATED)).decode()
+    assert "D-K-1" in certificate_xml(expired(certificate)).decode()
+    simulated = certificate_xml(replace(certificate, reference=SIMULATED)).decode()
     assert "<dcc:traceable>false" in simulated and "SIMULATED" in simulated
 
 
-def test_why_nothing_is_stated_is_said_by_its_code(facts: Certificate) -> None:
+def test_why_nothing_is_stated_is_reported_by_its_code(certificate: Certificate) -> None:
     derived = default_limit("N", 0.1, 3.0, DecisionConfig())
     cases: dict[str, Certificate] = {
-        "simulated": replace(facts, reference=SIMULATED),
-        "no_limit": replace(facts, limit=derived),
-        "no_reference": replace(facts, reference=None),
-        "reference": expired(facts),
-        "known_loads": replace(facts, load_correction="trimmed", measured=None),
-        "no_interval": replace(facts, measured=ErrorForecast(0.22, 0.0, np.inf)),
-        "retest": replace(facts, verdict="retest"),
+        "simulated": replace(certificate, reference=SIMULATED),
+        "no_limit": replace(certificate, limit=derived),
+        "no_reference": replace(certificate, reference=None),
+        "reference": expired(certificate),
+        "known_loads": replace(certificate, load_correction="trimmed", measured=None),
+        "no_interval": replace(certificate, measured=ErrorForecast(0.22, 0.0, np.inf)),
+        "retest": replace(certificate, verdict="retest"),
     }
-    assert set(cases) == set(WITHHOLDING_REASONS) and not facts.withholding_codes
+    assert set(cases) == set(WITHHOLDING_REASONS) and not certificate.withholding_codes
     for code, case in cases.items():
         assert case.withholding_codes == (code,) and not case.conformity
         assert escape(WITHHOLDING_REASONS[code]) in certificate_xml(case).decode()
-    assert replace(facts, load_correction="trimmed").conformity == "pass", "an audit since the trim decides"
-    assert replace(facts, load_correction="trimmed", is_trimmed=True).withholding_codes == ("known_loads",)
+    assert replace(certificate, load_correction="trimmed").conformity == "pass", "an audit since the trim decides"
+    assert replace(certificate, load_correction="trimmed", is_trimmed=True).withholding_codes == ("known_loads",)
     assert str(derived.origin) in certificate_xml(cases["no_limit"]).decode()
 
 
-def _drawn(facts: Certificate, rng: np.random.Generator) -> Certificate:
+def _draw_certificate(certificate: Certificate, rng: np.random.Generator) -> Certificate:
     """The unit with another measured error, limit and reference, judged as the line judges it."""
     limit = Limit("N", float(rng.uniform(0.05, 0.3)), reference_expanded=float(rng.choice([0.0, rng.uniform(0, 0.2)])))
     after = limit.maximum_rmse * float(rng.uniform(0.6, 1.3))
     before, rows = float(rng.uniform(1, 2)), int(rng.integers(50, 3000))
     scores = Scores(MeasuredError(before, rows), MeasuredError(after, rows))
-    judged, measured = compare_with_audit(scores, limit), scores.after.interval
-    return replace(facts, limit=limit, measured=measured, verdict=str(judged.verdict))
+    verdict, measured = compare_with_audit(scores, limit), scores.after.interval
+    return replace(certificate, limit=limit, measured=measured, verdict=str(verdict.verdict))
 
 
 def _by_rule(number: dict[str, float], within: float = 1e-5) -> str:
@@ -234,53 +235,53 @@ def _by_rule(number: dict[str, float], within: float = 1e-5) -> str:
 
 def _numbers_of(dcc: ET.Element) -> dict[str, float]:
     """The numbers of the error's result by the symbol they are named with."""
-    found = {}
+    numbers = {}
     for quantity in dcc.iterfind(".//dcc:result/dcc:data/dcc:quantity", NAMESPACES):
         symbol, colon, _ = str(quantity.findtext("dcc:name/dcc:content", "", NAMESPACES)).partition(":")
         value = quantity.findtext("si:real/si:value", None, NAMESPACES)
         if colon and value is not None:
-            assert symbol not in found or symbol in ("U_est", "Standard uncertainty"), symbol
-            found[symbol] = float(value)
-    return found
+            assert symbol not in numbers or symbol in ("U_est", "Standard uncertainty"), symbol
+            numbers[symbol] = float(value)
+    return numbers
 
 
 def test_the_statement_follows_from_the_numbers_on_the_page(
-    facts: Certificate, rng: np.random.Generator, tmp_path: Path
+    certificate: Certificate, rng: np.random.Generator, tmp_path: Path
 ) -> None:
-    words = set()
+    verdicts = set()
     for k in range(300):
-        drawn = _drawn(facts, rng)
-        number = _numbers_of(ET.fromstring(certificate_xml(drawn)))
-        assert _by_rule(number) == drawn.conformity
-        words.add(drawn.conformity)
+        drawn_certificate = _draw_certificate(certificate, rng)
+        number = _numbers_of(ET.fromstring(certificate_xml(drawn_certificate)))
+        assert _by_rule(number) == drawn_certificate.conformity
+        verdicts.add(drawn_certificate.conformity)
         if k % 30:
             continue
         path = tmp_path / "drawn.pdf"
-        path.write_bytes(certificate_pdf(drawn))
+        path.write_bytes(certificate_pdf(drawn_certificate))
         rows = re.findall(r"^(E|E_lower|E_upper|TL|U_ref|AL):.*? ([\d.e-]+) ?N\b", "\n".join(read_pages(path)), re.M)
         assert len(rows) == 6
         # Whoever decides again by the rounded numbers of the page comes to the same statement.
-        assert _by_rule({symbol: float(value) for symbol, value in rows}, np.inf) == drawn.conformity
+        assert _by_rule({symbol: float(value) for symbol, value in rows}, np.inf) == drawn_certificate.conformity
         for symbol, value in rows:
-            place = 10.0 ** -len(value.partition(".")[2])
-            assert float(value) == pytest.approx(number[symbol], abs=0.51 * place + 1e-6), symbol
-    assert words == {"pass", "conditional pass", "fail"}
+            last_digit = 10.0 ** -len(value.partition(".")[2])
+            assert float(value) == pytest.approx(number[symbol], abs=0.51 * last_digit + 1e-6), symbol
+    assert verdicts == {"pass", "conditional pass", "fail"}
 
 
-def test_no_symbol_stands_for_two_things(facts: Certificate, tmp_path: Path) -> None:
+def test_no_symbol_stands_for_two_things(certificate: Certificate, tmp_path: Path) -> None:
     path = tmp_path / "facts.pdf"
-    path.write_bytes(certificate_pdf(facts))
-    for text in (read_text(path), certificate_xml(facts).decode()):
+    path.write_bytes(certificate_pdf(certificate))
+    for text in (read_text(path), certificate_xml(certificate).decode()):
         assert not re.search(r"\bU\b(?! squared)", text)
         assert {"U_est", "U_ref", "U_cell"} <= set(re.findall(r"U_[a-z]+", text))
 
 
-def test_days_are_those_that_somebody_stated_else_the_registrys(facts: Certificate) -> None:
+def test_days_are_those_that_somebody_stated_else_the_registrys(certificate: Certificate) -> None:
     def days(began: date | None, ended: date | None) -> tuple[date, date]:
-        performance = replace(facts.laboratory.performance, began_on=began, ended_on=ended)
-        found = replace(facts, laboratory=replace(facts.laboratory, performance=performance))
-        assert found.performance_days.count(NOT_STATED) == (began is None) + (ended is None)
-        return found.began_on, found.ended_on
+        performance = replace(certificate.laboratory.performance, began_on=began, ended_on=ended)
+        with_performance = replace(certificate, laboratory=replace(certificate.laboratory, performance=performance))
+        assert with_performance.performance_days.count(NOT_STATED) == (began is None) + (ended is None)
+        return with_performance.began_on, with_performance.ended_on
 
     early, late = date(2026, 1, 5), date(2026, 5, 5)
     assert days(None, None) == (date(2026, 3, 2), date(2026, 3, 4))
@@ -290,55 +291,57 @@ def test_days_are_those_that_somebody_stated_else_the_registrys(facts: Certifica
     with pytest.raises(InputError, match="ended_on"):
         Performance(began_on=late, ended_on=early)
     assert CELL.used_on is not None
-    assert replace(facts, source_since=CELL.used_on).traceability != facts.traceability
+    assert replace(certificate, source_since=CELL.used_on).traceability != certificate.traceability
 
 
-def test_what_audits_of_other_units_leave_open_is_no_95_percent_interval(facts: Certificate) -> None:
-    alone = replace(facts, measured=None)
+def test_what_audits_of_other_units_leave_open_is_no_95_percent_interval(certificate: Certificate) -> None:
+    alone = replace(certificate, measured=None)
     for is_sampled, count in ((False, 1), (True, 0)):
         dcc = certificate_xml(replace(alone, is_sampled=is_sampled)).decode()
         assert dcc.count("<si:coverageProbability>") == count
 
 
-def test_a_place_is_the_one_that_was_stated(facts: Certificate) -> None:
-    def place(at: str) -> str:
-        performance = replace(facts.laboratory.performance, at=at, place=NOT_STATED)
-        return replace(facts, laboratory=replace(facts.laboratory, performance=performance)).location
+def test_a_place_is_the_one_that_was_stated(certificate: Certificate) -> None:
+    def location_of(at: str) -> str:
+        performance = replace(certificate.laboratory.performance, at=at, place=NOT_STATED)
+        return replace(certificate, laboratory=replace(certificate.laboratory, performance=performance)).location
 
-    assert place(NOT_STATED) == NOT_STATED
-    assert "Teheran-ro 1" in place("laboratory") and "Munich" in place("customer")
-    assert "Teheran-ro 1" not in place("customer") + place("other") + place("laboratoryBranch")
+    assert location_of(NOT_STATED) == NOT_STATED
+    assert "Teheran-ro 1" in location_of("laboratory") and "Munich" in location_of("customer")
+    assert "Teheran-ro 1" not in location_of("customer") + location_of("other") + location_of("laboratoryBranch")
 
 
-def test_a_pass_is_read_on_no_page_where_nothing_vouches_for_the_reference(facts: Certificate, tmp_path: Path) -> None:
+def test_a_pass_is_read_on_no_page_where_nothing_vouches_for_the_reference(
+    certificate: Certificate, tmp_path: Path
+) -> None:
     path = tmp_path / "nobody.pdf"
-    path.write_bytes(certificate_pdf(replace(facts, **NOBODY)))
+    path.write_bytes(certificate_pdf(replace(certificate, **NOBODY)))
     assert "PASS" not in read_text(path).split()
-    path.write_bytes(certificate_pdf(replace(facts, reference=SIMULATED)))
+    path.write_bytes(certificate_pdf(replace(certificate, reference=SIMULATED)))
     assert "PASS" not in read_text(path).split()
-    path.write_bytes(certificate_pdf(facts))
+    path.write_bytes(certificate_pdf(certificate))
     assert "PASS" in read_text(path).split()
 
 
-def test_every_page_of_a_simulated_lot_says_so(facts: Certificate, tmp_path: Path) -> None:
+def test_every_page_of_a_simulated_lot_says_so(certificate: Certificate, tmp_path: Path) -> None:
     for name, reference, is_marked in (("simulated", SIMULATED, True), ("measured", CELL, False)):
         path = tmp_path / f"{name}.pdf"
-        path.write_bytes(certificate_pdf(replace(facts, reference=reference)))
+        path.write_bytes(certificate_pdf(replace(certificate, reference=reference)))
         pages = read_pages(path)
         assert len(pages) > 1
         assert all(("SIMULATED" in page) == is_marked for page in pages)
 
 
-def test_every_family_of_maps_has_a_name_on_paper_and_the_certificate_bears_it(facts: Certificate) -> None:
+def test_every_family_of_maps_has_a_name_on_paper_and_the_certificate_bears_it(certificate: Certificate) -> None:
     assert set(METHODS) == {*FAMILIES, "shared_load"}
     for family in FAMILIES:
-        named = replace(facts, map_family=family)
-        assert escape(named.method) in certificate_xml(named).decode()
-        assert ("optimal transport" in named.method) == (family in ("exact", "joint", "monotone"))
+        renamed = replace(certificate, map_family=family)
+        assert escape(renamed.method) in certificate_xml(renamed).decode()
+        assert ("optimal transport" in renamed.method) == (family in ("exact", "joint", "monotone"))
 
 
-def test_the_pdf_is_archival_and_carries_the_dcc(facts: Certificate, tmp_path: Path) -> None:
-    for number, variant in enumerate([*_variants(facts), replace(facts, **NOBODY)]):
+def test_the_pdf_is_archival_and_carries_the_dcc(certificate: Certificate, tmp_path: Path) -> None:
+    for number, variant in enumerate([*_variants(certificate), replace(certificate, **NOBODY)]):
         path = tmp_path / f"{number}.pdf"
         path.write_bytes(certificate_pdf(variant))
         with pikepdf.open(path) as pdf:
@@ -357,12 +360,12 @@ def test_the_pdf_is_archival_and_carries_the_dcc(facts: Certificate, tmp_path: P
         assert all(read_fonts(path).values()) and variant.identifier in text and "ZZ" not in text
 
 
-def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp_path: Path) -> None:
+def test_everything_that_iso_17025_asks_for_stands_on_it(certificate: Certificate, tmp_path: Path) -> None:
     """ISO/IEC 17025:2017, 7.8.2.1 a to p and 7.8.4.1."""
     path = tmp_path / "full.pdf"
-    path.write_bytes(certificate_pdf(facts))
+    path.write_bytes(certificate_pdf(certificate))
     text = read_text(path)
-    for wanted in (
+    for required in (
         "Calibration certificate",  # a
         "Press shop & Söhne, Teheran-ro 1, 06234, Seoul, KR",  # b
         "Hall 3",  # c
@@ -390,12 +393,12 @@ def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp
         "0.150 to 0.300 N",
         "A0",
     ):
-        assert wanted in text, wanted
+        assert required in text, required
     assert "90 %" not in text
 
 
-def test_the_same_facts_give_the_same_pdf(facts: Certificate) -> None:
-    assert certificate_pdf(facts) == certificate_pdf(replace(facts))
+def test_equal_content_gives_an_equal_pdf(certificate: Certificate) -> None:
+    assert certificate_pdf(certificate) == certificate_pdf(replace(certificate))
 
 
 KOREAN = Laboratory(
@@ -405,11 +408,11 @@ KOREAN = Laboratory(
 )
 
 
-def test_names_in_other_letters_and_long_serials_are_written_in_full(facts: Certificate, tmp_path: Path) -> None:
+def test_names_in_other_letters_and_long_serials_are_written_in_full(certificate: Certificate, tmp_path: Path) -> None:
     serial = "LINE-4-UNIT-" + "0123456789" * 12
-    named = replace(facts, laboratory=KOREAN, serial=serial)
-    content = certificate_pdf(named)
-    assert content == certificate_pdf(named)
+    renamed = replace(certificate, laboratory=KOREAN, serial=serial)
+    content = certificate_pdf(renamed)
+    assert content == certificate_pdf(renamed)
     path = tmp_path / "korean.pdf"
     path.write_bytes(content)
     text = "".join(read_text(path).split())
@@ -424,13 +427,13 @@ def test_names_in_other_letters_and_long_serials_are_written_in_full(facts: Cert
 def test_the_packages_font_has_every_korean_syllable_and_all_that_the_korean_texts_say() -> None:
     font = register_file(KOREAN_FONT)
     assert has_all(font, "".join(map(chr, range(0xAC00, 0xD7A4))))
-    for said in catalogue()["ko"].values():
-        assert all(has_all(PLAIN, letter) or has_all(font, letter) for letter in writable(said)), said
+    for sentence in catalogue()["ko"].values():
+        assert all(has_all(PLAIN, letter) or has_all(font, letter) for letter in writable(sentence)), sentence
     assert Path(KOREAN_FONT).with_name("OFL.txt").is_file() and Path(KOREAN_FONT).stat().st_size < 2_000_000
 
 
 @pytest.mark.parametrize(
-    ("name", "shown"),
+    ("name", "printed_name"),
     [
         ("A\t1", "A 1"),
         ("A\r\n1", "A 1"),
@@ -443,34 +446,37 @@ def test_the_packages_font_has_every_korean_syllable_and_all_that_the_korean_tex
         ("<b>&amp;", "<b>&amp;"),
     ],
 )
-def test_no_character_of_a_name_breaks_a_paper(facts: Certificate, name: str, shown: str) -> None:
+def test_no_character_of_a_name_breaks_a_paper(certificate: Certificate, name: str, printed_name: str) -> None:
     laboratory = replace(KOREAN, laboratory=replace(KOREAN.laboratory, name=name), person=Person(name, name))
-    lot = of_lot(facts, sensor_model=name, reference_unit=name, output_unit=name)
-    named = replace(lot, laboratory=laboratory, identifier=name, reasons=(name,))
-    pdf = certificate_pdf(named)
+    lot = of_lot(certificate, sensor_model=name, reference_unit=name, output_unit=name)
+    renamed = replace(lot, laboratory=laboratory, identifier=name, reasons=(name,))
+    pdf = certificate_pdf(renamed)
     text = "".join(read_text(pdf).split())
     # Sensor model, laboratory, person, and the footer.
-    assert text.count("".join(shown.split())) >= 4
-    dcc = " ".join(ET.fromstring(certificate_xml(named)).itertext())
-    assert shown in unicodedata.normalize("NFC", dcc) or not name.isprintable()
+    assert text.count("".join(printed_name.split())) >= 4
+    dcc = " ".join(ET.fromstring(certificate_xml(renamed)).itertext())
+    assert printed_name in unicodedata.normalize("NFC", dcc) or not name.isprintable()
     with pikepdf.open(io.BytesIO(pdf)) as opened, opened.open_metadata() as metadata:
-        assert shown in " ".join(str(metadata["dc:title"]).split())
+        assert printed_name in " ".join(str(metadata["dc:title"]).split())
 
 
 def test_a_name_no_font_can_write_is_refused_with_what_to_do(
-    facts: Certificate, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    certificate: Certificate, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("SOFTCAL_FONT", str(tmp_path / "nowhere.ttf"))
     with pytest.raises(InputError, match="SOFTCAL_FONT"):
-        certificate_pdf(replace(facts, laboratory=KOREAN))
+        certificate_pdf(replace(certificate, laboratory=KOREAN))
     (tmp_path / "broken.ttf").write_bytes(b"no font")
     monkeypatch.setenv("SOFTCAL_FONT", str(tmp_path / "broken.ttf"))
     with pytest.raises(InputError, match="broken.ttf"):
-        certificate_pdf(replace(facts, laboratory=KOREAN))
+        certificate_pdf(replace(certificate, laboratory=KOREAN))
     monkeypatch.delenv("SOFTCAL_FONT")
     with pytest.raises(InputError, match="SOFTCAL_FONT"):
         certificate_pdf(
-            replace(facts, laboratory=replace(KOREAN, laboratory=Party("\N{GOTHIC LETTER AHSA}", "a@b.c", "DE", "Ulm")))
+            replace(
+                certificate,
+                laboratory=replace(KOREAN, laboratory=Party("\N{GOTHIC LETTER AHSA}", "a@b.c", "DE", "Ulm")),
+            )
         )
 
 
@@ -490,14 +496,14 @@ at = "other"
 def test_a_laboratory_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "laboratory.toml"
     path.write_text(LABORATORY)
-    found = read_laboratory(path)
-    assert found.laboratory.name == "Works"
-    assert found.load_cell.due_on == date(2028, 2, 2)
-    assert found.load_cell.certificate == "D-K-1" and found.performance.at == "other"
+    laboratory = read_laboratory(path)
+    assert laboratory.laboratory.name == "Works"
+    assert laboratory.load_cell.due_on == date(2028, 2, 2)
+    assert laboratory.load_cell.certificate == "D-K-1" and laboratory.performance.at == "other"
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         (('country = "KR"', 'country = "Korea"'), "Korea"),
         (("due_on = 2028-02-02", 'due_on = "soon"'), "due_on"),
@@ -508,10 +514,10 @@ def test_a_laboratory_file_is_read(tmp_path: Path) -> None:
         (('at = "other"', 'at = "the moon"'), "the moon"),
     ],
 )
-def test_a_wrong_laboratory_file_is_refused(tmp_path: Path, changed: tuple[str, str], said: str) -> None:
+def test_a_wrong_laboratory_file_is_refused(tmp_path: Path, changed: tuple[str, str], message: str) -> None:
     path = tmp_path / "laboratory.toml"
     path.write_text(LABORATORY.replace(*changed))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_laboratory(path)
 
 
@@ -520,9 +526,9 @@ def _page_text(pdf: bytes) -> str:
     return " ".join(" ".join(page.extract_text() for page in pages).split())
 
 
-def test_what_nobody_stated_of_the_reference_is_not_stated_and_never_zero(facts: Certificate) -> None:
-    unstated = replace(facts, limit=Limit("N", 0.4), reference=None, budget=measured_budget(0.22, None, 2.0))
+def test_what_nobody_stated_of_the_reference_is_not_stated_and_never_zero(certificate: Certificate) -> None:
+    unstated = replace(certificate, limit=Limit("N", 0.4), reference=None, budget=measured_budget(0.22, None, 2.0))
     assert unstated.limit is not None and unstated.limit.acceptance_rmse == unstated.limit.maximum_rmse
     for content in (certificate_xml(unstated).decode(), _page_text(certificate_pdf(unstated))):
-        (said,) = re.findall(r"U_ref: reference(?:(?!AL:).)*", content, re.S)[:1]
-        assert "not stated" in said and not re.search(r"\b0 N\b|>0<", said)
+        (budget_line,) = re.findall(r"U_ref: reference(?:(?!AL:).)*", content, re.S)[:1]
+        assert "not stated" in budget_line and not re.search(r"\b0 N\b|>0<", budget_line)

@@ -73,9 +73,9 @@ def test_every_format_is_written_and_reads_back(run: Run, tmp_path: Path) -> Non
     assert {f"unit-A1.{end}" for end in endings} | {"certificate-A1.pdf", "certificate-A1.xml"} <= names
     assert {"softsensor.h", "manifest.json"} <= names
     assert (tmp_path / "out" / "unit-A1.ssc").stat().st_size <= 256
-    found = json.loads(report.read_text())
-    assert found["check"]["problems"] == []
-    (unit,) = found["units"]
+    content = json.loads(report.read_text())
+    assert content["check"]["problems"] == []
+    (unit,) = content["units"]
     assert unit["device"]["rms_error"] <= unit["device"]["limit"]
 
 
@@ -119,7 +119,7 @@ def test_the_same_calibration_gives_the_same_bytes_in_any_folder_and_time_zone(
         assert str(Path.home()).encode() + b"/" not in path.read_bytes()
 
 
-def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibrated: str, tmp_path: Path) -> None:
+def test_onnx_agrees_with_the_float_model_and_carries_its_metadata(run: Run, calibrated: str, tmp_path: Path) -> None:
     run("--serial", "A2", "--format", "onnx")
     path = tmp_path / "out" / "unit-A2.onnx"
     session = onnxruntime.InferenceSession(path)
@@ -130,10 +130,10 @@ def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibr
     estimate, source_window = session.run(["estimate", "source_window"], {"window": windows.astype(np.float32)})
     assert np.abs(estimate - unit.network.evaluate(mapped)).max() < 1e-4
     assert np.abs(source_window - mapped).max() < 1e-5
-    facts = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
-    assert (facts["serial"], facts["network_id"]) == ("A2", unit.network.id)
-    assert facts["map_sha256"] == unit.stored.state.map_sha256
-    assert (facts["window_period_ms"], facts["window_longest_step_ms"]) == ("20.0", "30")
+    metadata = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
+    assert (metadata["serial"], metadata["network_id"]) == ("A2", unit.network.id)
+    assert metadata["map_sha256"] == unit.stored.state.map_sha256
+    assert (metadata["window_period_ms"], metadata["window_longest_step_ms"]) == ("20.0", "30")
 
 
 def _by_c(folder: Path, names: tuple[Path, Path], codes: np.ndarray) -> np.ndarray:
@@ -142,11 +142,11 @@ def _by_c(folder: Path, names: tuple[Path, Path], codes: np.ndarray) -> np.ndarr
     sources = [f"-I{root / 'softsensor'}", str(root / "examples" / "pc" / "softsensor_pc.c"), "-o", str(program)]
     subprocess.run(["gcc", "-std=c99", "-O2", *sources], check=True)
     lines = [f"{1000 * (k + 1) + 20 * i} {c}\n" for k, row in enumerate(codes) for i, c in enumerate(row)]
-    done = subprocess.run([program, *names], input="".join(lines), capture_output=True, text=True, check=True)
-    return np.array([line.split() for line in done.stdout.splitlines()], dtype=int)[14::15]
+    process = subprocess.run([program, *names], input="".join(lines), capture_output=True, text=True, check=True)
+    return np.array([line.split() for line in process.stdout.splitlines()], dtype=int)[14::15]
 
 
-def _words(text: str) -> bytes:
+def _header_bytes(text: str) -> bytes:
     return b"".join(int(word, 16).to_bytes(4, "little") for word in re.findall(r"0x([0-9a-f]{8})u", text))
 
 
@@ -165,8 +165,8 @@ def test_all_forms_of_a_unit_agree_on_the_same_windows(
     (network_path,) = out.glob("network-*.ssc")
     network, unit = network_path.read_bytes(), (out / "unit-A2.ssc").read_bytes()
     stem = network_path.stem
-    assert _words((out / "unit-A2.h").read_text()) == _memory((out / "unit-A2.hex").read_text()) == unit
-    assert _words((out / f"{stem}.h").read_text()) == _memory((out / f"{stem}.hex").read_text()) == network
+    assert _header_bytes((out / "unit-A2.h").read_text()) == _memory((out / "unit-A2.hex").read_text()) == unit
+    assert _header_bytes((out / f"{stem}.h").read_text()) == _memory((out / f"{stem}.hex").read_text()) == network
     assert unit_from_values(json.loads((out / "unit-A2.json").read_text())["device"]).to_bytes() == unit
     assert network_from_values(json.loads((out / f"{stem}.json").read_text())).to_bytes() == network
 
@@ -188,8 +188,10 @@ def test_all_forms_of_a_unit_agree_on_the_same_windows(
     assert inside.sum() > 200
     full_scale = count * (file.out_max - file.out_min)
     assert np.abs(estimate - count * numpy.value)[inside].max() < 0.005 * full_scale
-    reach = count * np.stack([numpy.value - numpy.lower, numpy.upper - numpy.value], axis=1)
-    assert np.abs(np.stack([estimate - lower, upper - estimate], axis=1) - reach)[inside].max() < 0.02 * full_scale
+    half_widths = count * np.stack([numpy.value - numpy.lower, numpy.upper - numpy.value], axis=1)
+    assert (
+        np.abs(np.stack([estimate - lower, upper - estimate], axis=1) - half_widths)[inside].max() < 0.02 * full_scale
+    )
     assert np.array_equal(flag & OUT_OF_RANGE, numpy.flags & OUT_OF_RANGE)
     assert np.mean((flag & CLAMPED) == (numpy.flags & CLAMPED)) > 0.95
 
@@ -241,29 +243,29 @@ def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: p
 
     def check(key: str | None, code: int) -> FolderCheck:
         """The answers; the command's exit code is that, and it names every problem."""
-        found = check_folder(out, read_trusted_keys([Path(key)]) if key else ())
+        report = check_folder(out, read_trusted_keys([Path(key)]) if key else ())
         capsys.readouterr()
         assert run("--check", *(("--public-key", key) if key else ())) == code
         error = " ".join(capsys.readouterr().err.split())
-        assert all(problem.split(":")[0] in error for problem in found.problems)
-        return found
+        assert all(problem.split(":")[0] in error for problem in report.problems)
+        return report
 
-    found = check(public, 0)
-    assert not found.problems and found.signed_by.startswith("key (")
+    result = check(public, 0)
+    assert not result.problems and result.signed_by.startswith("key (")
     assert check(None, 0).signed_by == NOT_CHECKED
-    kept = (out / "unit-A1.ssc").read_bytes()
+    original = (out / "unit-A1.ssc").read_bytes()
     (out / "unit-A1.ssc").rename(out / "unit-A9.ssc")
-    found = check(public, 2)
-    assert [line.split(":")[0] for line in found.incomplete] == ["unit-A1.ssc", "unit-A9.ssc"] and not found.changed
+    result = check(public, 2)
+    assert [line.split(":")[0] for line in result.incomplete] == ["unit-A1.ssc", "unit-A9.ssc"] and not result.changed
     (out / "unit-A9.ssc").unlink()
-    (out / "unit-A1.ssc").write_bytes(kept[:-1] + bytes([kept[-1] ^ 1]))
-    found = check(public, 2)
-    assert not found.incomplete and [line.split(":")[0] for line in found.changed] == ["unit-A1.ssc"]
-    (out / "unit-A1.ssc").write_bytes(kept)
+    (out / "unit-A1.ssc").write_bytes(original[:-1] + bytes([original[-1] ^ 1]))
+    result = check(public, 2)
+    assert not result.incomplete and [line.split(":")[0] for line in result.changed] == ["unit-A1.ssc"]
+    (out / "unit-A1.ssc").write_bytes(original)
     (tmp_path / "other").mkdir()
     other = _keys(tmp_path / "other")[1]
-    found = check(other, 2)
-    assert found.signed_by == INVALID and not found.incomplete and not found.changed
+    result = check(other, 2)
+    assert result.signed_by == INVALID and not result.incomplete and not result.changed
     manifest = (out / "manifest.json").read_text()
     (out / "manifest.json").write_text(manifest.replace('"pass"', '"fail"').replace("conditional", "pass"))
     assert check(public, 2).signed_by == INVALID
@@ -336,18 +338,18 @@ def test_a_key_ring_that_is_none_is_refused(
     run("--serial", "A1", "--format", "blob")
     (tmp_path / "ring.toml").write_text(ring)
     assert run("--check", "--public-key", str(tmp_path / "ring.toml")) == 2
-    told = capsys.readouterr()
-    assert "complete" not in told.out and re.search(r"ring\.toml|gone\.pub", told.err)
+    printed = capsys.readouterr()
+    assert "complete" not in printed.out and re.search(r"ring\.toml|gone\.pub", printed.err)
 
 
 def test_a_passphrase_comes_from_a_file_or_from_a_person(tmp_path: Path) -> None:
     private, _ = _keys(tmp_path, b"open sesame")
     (tmp_path / "passphrase").write_text("open sesame\n")
     key = open_signing_key(Path(private), tmp_path / "passphrase")
-    asked: list[str] = []
-    typed = open_signing_key(Path(private), None, lambda text: asked.append(text) or "open sesame")
+    prompts: list[str] = []
+    typed = open_signing_key(Path(private), None, lambda text: prompts.append(text) or "open sesame")
     assert typed.sign(b"x") == key.sign(b"x")
-    assert len(asked) == 1 and private in asked[0]
+    assert len(prompts) == 1 and private in prompts[0]
     for wrong in ("", "open says me"):
         (tmp_path / "passphrase").write_text(wrong)
         with pytest.raises(InputError):
@@ -395,9 +397,9 @@ def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(
     rsa_key = rsa.generate_private_key(65_537, 2048)
     (tmp_path / "rsa.pem").write_bytes(rsa_key.private_bytes(encoding, form, serialization.NoEncryption()))
     private, public = _keys(tmp_path, b"open sesame")
-    for key, said in ((str(tmp_path / "rsa.pem"), "Ed25519"), (private, "SOFTCAL_SIGNING_PASSPHRASE")):
+    for key, text in ((str(tmp_path / "rsa.pem"), "Ed25519"), (private, "SOFTCAL_SIGNING_PASSPHRASE")):
         assert run("--serial", "A1", "--format", "blob", "--sign", key) == 2
-        assert said in capsys.readouterr().err
+        assert text in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
     monkeypatch.setenv("SOFTCAL_SIGNING_PASSPHRASE", "wrong")
     assert run("--serial", "A1", "--format", "blob", "--sign", private) == 2
@@ -447,7 +449,7 @@ def test_the_verdict_alone_releases_a_file_of_any_format(calibrated: str, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--serial", "NOBODY", "--format", "blob"], "NOBODY"),
         (["--serial", "A1", "--serial", "NOBODY"], "NOBODY"),
@@ -467,11 +469,11 @@ def test_the_verdict_alone_releases_a_file_of_any_format(calibrated: str, tmp_pa
     ],
 )
 def test_wrong_use_ends_in_one_line_and_exit_code_2(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert run(*arguments) == 2
-    told = capsys.readouterr().err.strip().splitlines()[-1]
-    assert said in told
+    last_line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in last_line
     assert not list((tmp_path / "out").glob("*.ssc"))
 
 
@@ -483,13 +485,13 @@ def test_a_folder_that_holds_something_else_is_left_alone(run: Run, tmp_path: Pa
 
 
 def test_the_use_case_returns_what_it_wrote(calibrated: str, tmp_path: Path) -> None:
-    told = []
+    exported = []
     with open_registry(calibrated) as registry:
-        done = export_units(registry, ["A1", "A2"], ("blob",), tmp_path, on_unit=told.append)
+        results = export_units(registry, ["A1", "A2"], ("blob",), tmp_path, on_unit=exported.append)
         with pytest.raises(InputError, match="png"):
             export_units(registry, ["A1"], ("png",), tmp_path)
-    assert [unit.serial for unit in done] == ["A1", "A2"] == [unit.serial for unit in told]
-    assert done[0].files[0] == "unit-A1.ssc"
+    assert [unit.serial for unit in results] == ["A1", "A2"] == [unit.serial for unit in exported]
+    assert results[0].files[0] == "unit-A1.ssc"
 
 
 def test_inspect_shows_a_file_and_runs_its_self_tests(
@@ -520,16 +522,16 @@ def test_a_json_twin_is_shown_as_proven_only_while_it_is_what_was_exported(run, 
     bare = tmp_path / "bare.json"
     bare.write_text(json.dumps({name: value for name, value in values.items() if name != "sha256"}))
     assert main(["inspect", str(bare)]) == 0
-    shown = capsys.readouterr().out
-    assert "not proven" in shown and "passed" not in shown
+    printed = capsys.readouterr().out
+    assert "not proven" in printed and "passed" not in printed
     # Every number, text and flag of it counts.
     for path in sorted(leaves(values), key=str)[:: max(1, len(leaves(values)) // 40)]:
         edited = json.loads(file.read_text())
-        place = edited
+        checked_path = edited
         for part in path[:-1]:
-            place = place[part]
-        old = place[path[-1]]
-        place[path[-1]] = (old + 1) if isinstance(old, int | float) else f"{old}x"
+            checked_path = checked_path[part]
+        old = checked_path[path[-1]]
+        checked_path[path[-1]] = (old + 1) if isinstance(old, int | float) else f"{old}x"
         bare.write_text(json.dumps(edited))
         assert main(["inspect", str(bare)]) == 2, path
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -13,12 +13,12 @@ from softcal.core.orders import Heartbeat, StationState
 from softcal.db.connection import open_registry
 
 SEOUL = "Asia/Seoul"
-MADE = datetime(2026, 1, 31, 16, 5, 9, tzinfo=UTC)
+INSTANT = datetime(2026, 1, 31, 16, 5, 9, tzinfo=UTC)
 
 
-def read(shown: str) -> datetime:
+def read(text: str) -> datetime:
     """Return the instant that a person reads."""
-    at, _, offset = shown.replace("\\", "").partition(" UTC")
+    at, _, offset = text.replace("\\", "").partition(" UTC")
     return datetime.fromisoformat(at + (offset or "+00:00"))
 
 
@@ -26,11 +26,11 @@ def read(shown: str) -> datetime:
 def browser(monkeypatch: pytest.MonkeyPatch):
     """`browser(locale=..., timezone=...)`: what the browser says of itself."""
 
-    def says(**told: str) -> None:
-        for name, value in told.items():
+    def set_context(**settings: str) -> None:
+        for name, value in settings.items():
             monkeypatch.setattr(type(st.context), name, property(lambda _, value=value: value))
 
-    return says
+    return set_context
 
 
 @pytest.mark.parametrize(
@@ -56,9 +56,9 @@ def test_what_a_person_chose_stays_whatever_the_browser_speaks(tmp_path, browser
 
 @pytest.mark.parametrize(("zone", "hours"), [(SEOUL, 9), ("America/St_Johns", -3.5), ("UTC", 0)])
 def test_an_instant_says_its_zone_and_is_the_same_instant(zone, hours) -> None:
-    shown = format_instant(MADE.astimezone(ZoneInfo(zone)))
-    assert read(shown) == MADE and read(shown).utcoffset() == timedelta(hours=hours)
-    assert shown in make_translator("en", ZoneInfo(zone))("wall.drawn", at=MADE)
+    text = format_instant(INSTANT.astimezone(ZoneInfo(zone)))
+    assert read(text) == INSTANT and read(text).utcoffset() == timedelta(hours=hours)
+    assert text in make_translator("en", ZoneInfo(zone))("wall.drawn", at=INSTANT)
 
 
 @pytest.mark.parametrize(("timezone", "hours"), [(SEOUL, 9), ("Nowhere/Else", None), (None, None)])
@@ -66,26 +66,26 @@ def test_pages_show_times_in_the_zone_of_the_browser(calibrated, browser, show, 
     # A browser whose zone nobody knows is shown the zone of this machine.
     browser(timezone=timezone)
     with open_registry(calibrated) as registry:
-        made = registry.networks.states("small")[0].network.added_at
+        added_at = registry.networks.states("small")[0].network.added_at
     offset = timedelta(hours=hours) if hours else datetime.now().astimezone().utcoffset()
     (table,) = (table.value for table in show(calibrated, "lot", tab="networks", lot="small").table)
     times = [read(cell) for cell in table.astype(str).to_numpy().ravel() if " UTC" in cell]
-    assert any(abs(at - made) < timedelta(seconds=2) and at.utcoffset() == offset for at in times)
+    assert any(abs(at - added_at) < timedelta(seconds=2) and at.utcoffset() == offset for at in times)
 
 
 def test_sentences_on_pages_show_times_in_the_zone_of_the_browser(calibrated, browser, show) -> None:
     browser(timezone=SEOUL)
     at = datetime.now(UTC) - timedelta(hours=1)
     with open_registry(calibrated) as registry:
-        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, at, process="a:1"))
+        registry.order_queue.write_heartbeat(Heartbeat("line-1", StationState.READY, at, process="a:1"))
     screen = show(calibrated, "lot", lot="small")
     assert any(
         format_instant(at.astimezone(ZoneInfo(SEOUL))) in alert.value for alert in (*screen.warning, *screen.error)
     )
 
 
-def test_a_reason_that_names_an_instant_is_said_in_the_zone_of_its_reader() -> None:
-    why = reason("gate.golden", serial="G1", at=MADE.isoformat())
-    assert format_instant(MADE.astimezone(ZoneInfo(SEOUL))) in render_reason(
+def test_a_reason_that_names_an_instant_is_rendered_in_the_zone_of_its_reader() -> None:
+    why = reason("gate.golden", serial="G1", at=INSTANT.isoformat())
+    assert format_instant(INSTANT.astimezone(ZoneInfo(SEOUL))) in render_reason(
         why, make_translator("ko", ZoneInfo(SEOUL))
     )

@@ -15,7 +15,7 @@ from softcal.app.ui import account
 
 UI = Path(account.__file__).parent
 THEME = tomllib.loads((UI / ".streamlit" / "config.toml").read_text(encoding="utf-8"))["theme"]
-MOST_BYTES = 1_000_000
+MAX_BYTES = 1_000_000
 
 
 def test_plots_are_written_like_the_page() -> None:
@@ -26,7 +26,7 @@ def test_the_fonts_of_the_page_lie_in_the_package_with_their_licence() -> None:
     weights = {int(face["weight"]): UI / str(face["url"]).removeprefix("app/") for face in THEME["fontFaces"]}
     assert weights.keys() == {400, 700} and all(face["family"] in FONTS for face in THEME["fontFaces"])
     for file in weights.values():
-        assert file.read_bytes()[:4] == b"wOF2" and file.stat().st_size < MOST_BYTES
+        assert file.read_bytes()[:4] == b"wOF2" and file.stat().st_size < MAX_BYTES
     assert (UI / "static" / "OFL.txt").is_file()
 
 
@@ -37,8 +37,10 @@ def test_a_browser_writes_page_and_plot_in_the_bundled_letters(small_calibrated,
         page.locator(".js-plotly-plot text").first.wait_for()
         families = "found => found.map(one => getComputedStyle(one).fontFamily)"
         plot = set(page.locator(".js-plotly-plot text").evaluate_all(families))
-        written = set(page.locator("h1, p, [data-testid=stTable] td").evaluate_all(families))
-        assert len(plot) == 1 and all(family.startswith('"Source Sans", "Noto Sans KR"') for family in plot | written)
+        font_families = set(page.locator("h1, p, [data-testid=stTable] td").evaluate_all(families))
+        assert len(plot) == 1 and all(
+            family.startswith('"Source Sans", "Noto Sans KR"') for family in plot | font_families
+        )
         page.evaluate("document.fonts.ready.then(() => true)")
         loaded = page.evaluate("[...document.fonts].filter(f => f.status == 'loaded').map(f => [f.family, f.weight])")
         assert {("Noto Sans KR", "400"), ("Noto Sans KR", "700")} <= {(f.strip('"'), w) for f, w in loaded}

@@ -54,9 +54,9 @@ def test_a_right_hand_side_is_diagnosed_on_uneven_samples():
     runs = [recorded(WARM, str(k), uneven_run(str(k), k)) for k in (1, 2)]
     clean = WARM(runs[0].columns, {"loss": 0.3, "gain": 0.9, "radiation.size": 0.01, "sun.size": 0.0})["warm_K"]
     assert np.max(np.abs(clean - runs[0].columns["warm_K"])) < 0.03
-    found = diagnose_simulator(WARM, runs)
-    assert (found.verdict, found.best.ids) == ("explained", ("radiation",))
-    assert found.report()["parameters"]["radiation.size"] == pytest.approx(0.01, rel=0.05)
+    diagnosis = diagnose_simulator(WARM, runs)
+    assert (diagnosis.verdict, diagnosis.best.ids) == ("explained", ("radiation",))
+    assert diagnosis.report()["parameters"]["radiation.size"] == pytest.approx(0.01, rel=0.05)
 
 
 def test_a_right_hand_side_that_explodes_fails_in_one_line():
@@ -92,8 +92,8 @@ def test_a_command_gets_inputs_and_parameters_and_gives_channels(tmp_path: Path)
     )
     x = np.linspace(-1.0, 2.0, 31) / 3.0
     inputs = {"t_s": np.arange(31.0), "x": x}
-    told = line(inputs, {"slope": 0.1 + 0.2, "bend.size": -1.0 / 3.0})["y"]
-    assert told.tolist() == [(0.1 + 0.2) * v + (-1.0 / 3.0) * v * v for v in x.tolist()]
+    output = line(inputs, {"slope": 0.1 + 0.2, "bend.size": -1.0 / 3.0})["y"]
+    assert output.tolist() == [(0.1 + 0.2) * v + (-1.0 / 3.0) * v * v for v in x.tolist()]
     with pytest.raises(InputError, match="exit code 1: slope is out of the model's range"):
         line(inputs, {"slope": 95.0, "bend.size": 0.0})
 
@@ -112,9 +112,9 @@ def test_a_command_is_diagnosed_from_its_files(tmp_path: Path):
     )
     x = np.linspace(-1.0, 2.0, 90)
     y = np.polyval([0.4, 1.7, 0.0], x) + np.random.default_rng(1).normal(0.0, 0.01, len(x))
-    found = diagnose_simulator(line, [recorded(line, "1", {"t_s": np.arange(90.0), "x": x, "y": y})])
-    assert (found.verdict, found.best.ids) == ("explained", ("bend",))
-    assert found.report()["parameters"]["bend.size"] == pytest.approx(0.4, abs=0.01)
+    diagnosis = diagnose_simulator(line, [recorded(line, "1", {"t_s": np.arange(90.0), "x": x, "y": y})])
+    assert (diagnosis.verdict, diagnosis.best.ids) == ("explained", ("bend",))
+    assert diagnosis.report()["parameters"]["bend.size"] == pytest.approx(0.4, abs=0.01)
 
 
 def stub_of_fmpy(variables):
@@ -140,12 +140,12 @@ def test_a_functional_mock_up_unit_is_a_simulator_on_uneven_samples(monkeypatch)
     run = run_fmu("unit.fmu", {"place": "mass.s"}, {"push": "drive.f"}, {"softness": "spring.k"}, max_step_s=0.01)
     t_s = 7.0 + np.array([0.0, 0.1, 0.25, 0.3, 0.55])
     push = np.array([0.0, 1.0, 2.5, 3.0, 5.5])
-    given = {"t_s": t_s, "push": push}
-    np.testing.assert_allclose(run(given, {"softness": 2.0, "stop": np.inf})["place"], 2.0 * push, atol=1e-9)
-    np.testing.assert_allclose(run(given, {"softness": 2.0, "stop": 1.0})["place"], 2.0 * push + 1.0, atol=1e-9)
+    inputs = {"t_s": t_s, "push": push}
+    np.testing.assert_allclose(run(inputs, {"softness": 2.0, "stop": np.inf})["place"], 2.0 * push, atol=1e-9)
+    np.testing.assert_allclose(run(inputs, {"softness": 2.0, "stop": 1.0})["place"], 2.0 * push + 1.0, atol=1e-9)
 
 
-def test_a_unit_without_a_variable_and_a_missing_package_are_told_in_one_line(monkeypatch):
+def test_a_unit_without_a_variable_and_a_missing_package_are_refused_in_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy", stub_of_fmpy(["drive.f"]))
     with pytest.raises(InputError, match="has no variable mass.s; it has drive.f"):
         run_fmu("unit.fmu", {"place": "mass.s"}, {"push": "drive.f"})

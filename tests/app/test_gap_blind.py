@@ -12,5 +12,5 @@ RIGS = Path(__file__).parents[2] / "benchmarks/gap_rigs.py"
 @pytest.mark.long
 @pytest.mark.timeout(1800)
 def test_withheld_rigs_of_every_line_are_right_above_the_floors() -> None:
-    found = subprocess.run([sys.executable, RIGS, "blind", "--seed", "20201900178"], capture_output=True, text=True)
-    assert found.returncode == 0, found.stdout + found.stderr
+    process = subprocess.run([sys.executable, RIGS, "blind", "--seed", "20201900178"], capture_output=True, text=True)
+    assert process.returncode == 0, process.stdout + process.stderr

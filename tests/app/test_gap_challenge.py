@@ -23,13 +23,13 @@ from softcal.core.errors import InputError
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> tuple[Path, Path]:
+def challenge(tmp_path: Path) -> tuple[Path, Path]:
     make_challenge(tmp_path / "sealed", tmp_path / "labels.json", count=3, seed=2)
     return tmp_path / "sealed", tmp_path / "labels.json"
 
 
-def run(*words: object) -> int:
-    options = command_parser(["gap"]).parse_args(["gap", *map(str, words)])
+def run(*arguments: object) -> int:
+    options = command_parser(["gap"]).parse_args(["gap", *map(str, arguments)])
     return int(options.run(options) or 0)
 
 
@@ -42,8 +42,8 @@ def write_reports(folder: Path, names: list[str], verdict: str = "no_gap") -> Pa
     return folder
 
 
-def test_cases_have_the_written_form_and_no_label(made: tuple[Path, Path]) -> None:
-    folder, _ = made
+def test_cases_have_the_written_form_and_no_label(challenge: tuple[Path, Path]) -> None:
+    folder, _ = challenge
     header = (folder / "case-001/runs/1/recording.csv").read_text().splitlines()[0]
     metadata = json.loads((folder / "case-001/runs/1/recording.json").read_text())
     assert header.startswith("t_s,")
@@ -68,17 +68,17 @@ def test_a_challenge_without_a_seed_takes_one_of_128_bits(tmp_path: Path) -> Non
     assert first.commitment != second.commitment
 
 
-def test_scores_are_written_and_their_check_fails_on_silence(made: tuple[Path, Path]) -> None:
-    folder, seal = made
+def test_scores_are_written_and_their_check_fails_on_silence(challenge: tuple[Path, Path]) -> None:
+    folder, seal = challenge
     reports = write_reports(folder.parent / "reports", ["case-001", "case-002", "case-003"], "unknown")
-    words, scores = ("score", folder, "--reports", reports, "--seal", seal), folder.parent / "score.json"
-    assert run(*words, "--json", scores) == 0
+    arguments, scores = ("score", folder, "--reports", reports, "--seal", seal), folder.parent / "score.json"
+    assert run(*arguments, "--json", scores) == 0
     assert len(json.loads(scores.read_text())["cases"]) == 3
-    assert run(*words, "--check") == 1
+    assert run(*arguments, "--check") == 1
 
 
-def test_labels_cannot_be_read_without_the_key(made: tuple[Path, Path], tmp_path: Path) -> None:
-    folder, seal = made
+def test_labels_cannot_be_read_without_the_key(challenge: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, seal = challenge
     effects = {cause.effect for label in open_challenge(folder, seal) for cause in label.case.causes}
     for path in (seal, *folder.rglob("*.*")):
         assert effects and not any(effect in path.read_text() for effect in effects)
@@ -93,8 +93,8 @@ def test_labels_cannot_be_read_without_the_key(made: tuple[Path, Path], tmp_path
         open_challenge(folder, seal, tmp_path / "other.key")
 
 
-def test_a_changed_label_breaks_the_seal(made: tuple[Path, Path]) -> None:
-    folder, seal = made
+def test_a_changed_label_breaks_the_seal(challenge: tuple[Path, Path]) -> None:
+    folder, seal = challenge
     sealed = json.loads(seal.read_text())
     at = len(sealed["labels"]) // 2
     other = "A" if sealed["labels"][at] != "A" else "B"
@@ -104,9 +104,9 @@ def test_a_changed_label_breaks_the_seal(made: tuple[Path, Path]) -> None:
 
 
 def test_labels_made_afterwards_are_noticed_by_the_published_commitment(
-    made: tuple[Path, Path], tmp_path: Path
+    challenge: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    folder, seal = made
+    folder, seal = challenge
     published = json.loads((folder / "challenge.json").read_text())["commitment"]
     assert len(open_challenge(folder, seal, commitment=published)) == 3
     # Another challenge, whose folder agrees with itself.
@@ -117,15 +117,15 @@ def test_labels_made_afterwards_are_noticed_by_the_published_commitment(
 
 
 def test_an_examiner_answers_where_the_examinee_has_neither_seal_nor_key(
-    made: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    challenge: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, seal = made
+    folder, seal = challenge
     handed = tmp_path / "handed"
     shutil.copytree(folder, handed)
     with Examiner(partial(record_experiment, folder, seal)) as examiner:
         Thread(target=examiner.serve_forever, daemon=True).start()
         assert run("ask", handed, "case-001", "--experiment", "rate_sweep", "--examiner", examiner.address) == 0
-        asked = Path(capsys.readouterr().out.strip())
+        plan_path = Path(capsys.readouterr().out.strip())
         with pytest.raises(InputError, match="rate_sweep"):
             ask_examiner(examiner.address, "case-001", "dance", 1)
         with pytest.raises(InputError, match="does not know"):
@@ -133,13 +133,13 @@ def test_an_examiner_answers_where_the_examinee_has_neither_seal_nor_key(
         examiner.shutdown()
     mine = ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "rate_sweep")
     for name in ("recording.csv", "recording.json"):
-        assert (asked / name).read_bytes() == (mine / name).read_bytes()
+        assert (plan_path / name).read_bytes() == (mine / name).read_bytes()
     with pytest.raises(InputError, match="no answer"):
         ask_examiner("127.0.0.1:1:x", "case-001", "rest", 1)
 
 
-def test_a_sheet_says_by_what_it_was_scored(made: tuple[Path, Path]) -> None:
-    folder, seal = made
+def test_a_sheet_says_by_what_it_was_scored(challenge: tuple[Path, Path]) -> None:
+    folder, seal = challenge
     published = json.loads((folder / "challenge.json").read_text())["commitment"]
     reports = write_reports(folder.parent / "reports", ["case-001"])
     sheet = score_challenge(folder, reports, seal, commitment=published).to_json()
@@ -149,19 +149,19 @@ def test_a_sheet_says_by_what_it_was_scored(made: tuple[Path, Path]) -> None:
     assert score_challenge(folder, reports, seal).to_json()["commitment_from"] == "folder"
 
 
-def test_a_changed_recording_is_noticed(made: tuple[Path, Path]) -> None:
-    folder, seal = made
+def test_a_changed_recording_is_noticed(challenge: tuple[Path, Path]) -> None:
+    folder, seal = challenge
     recording = folder / "case-002/runs/1/recording.csv"
     recording.write_text(recording.read_text() + "99,0,0,0\n")
     with pytest.raises(InputError, match="case-002"):
         open_challenge(folder, seal)
 
 
-def test_an_experiment_is_added_and_the_case_stays_sealed(made: tuple[Path, Path]) -> None:
-    folder, seal = made
-    asked = ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "rate_sweep")
+def test_an_experiment_is_added_and_the_case_stays_sealed(challenge: tuple[Path, Path]) -> None:
+    folder, seal = challenge
+    answered_case = ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "rate_sweep")
     again = ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "dummy_resistor")
-    assert asked.name == "asked-1" and again.name == "asked-2"
+    assert answered_case.name == "asked-1" and again.name == "asked-2"
     assert json.loads((again / "recording.json").read_text())["dummy_ohm"] > 0
     assert len(open_challenge(folder, seal)) == 3
 
@@ -173,14 +173,14 @@ def test_no_case_and_a_seal_beside_the_cases_are_refused(tmp_path: Path, seal: s
     assert not (tmp_path / "sealed").exists()
 
 
-def test_a_used_folder_and_a_used_seal_are_refused(made: tuple[Path, Path], tmp_path: Path) -> None:
-    folder, seal = made
-    kept = seal.read_bytes()
+def test_a_used_folder_and_a_used_seal_are_refused(challenge: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, seal = challenge
+    original = seal.read_bytes()
     with pytest.raises(InputError):
         make_challenge(folder, tmp_path / "other.json", 1)
     with pytest.raises(InputError):
         make_challenge(tmp_path / "new", seal, 1)
-    assert seal.read_bytes() == kept and len(open_challenge(folder, seal)) == 3
+    assert seal.read_bytes() == original and len(open_challenge(folder, seal)) == 3
 
 
 def test_a_challenge_that_was_cut_off_leaves_nothing_and_can_be_made_again(tmp_path: Path) -> None:
@@ -194,14 +194,14 @@ def test_a_challenge_that_was_cut_off_leaves_nothing_and_can_be_made_again(tmp_p
     assert (tmp_path / "cases" / "challenge.json").is_file()
 
 
-def test_reports_that_are_not_there_are_named(made: tuple[Path, Path]) -> None:
-    folder, seal = made
+def test_reports_that_are_not_there_are_named(challenge: tuple[Path, Path]) -> None:
+    folder, seal = challenge
     with pytest.raises(InputError, match="case-001.json"):
         score_challenge(folder, folder.parent / "nowhere", seal)
 
 
-def test_unknown_names_are_answered_with_the_known_ones(made: tuple[Path, Path], tmp_path: Path) -> None:
-    folder, seal = made
+def test_unknown_names_are_answered_with_the_known_ones(challenge: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, seal = challenge
     with pytest.raises(InputError, match="rate_sweep"):
         ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "dance")
     with pytest.raises(InputError, match="case-003"):
@@ -210,8 +210,10 @@ def test_unknown_names_are_answered_with_the_known_ones(made: tuple[Path, Path],
         make_challenge(tmp_path / "x", tmp_path / "x.json", 1, line="odd")
 
 
-def test_a_lot_pressed_on_a_sealed_rig_is_a_lot_folder_with_audits(made: tuple[Path, Path], tmp_path: Path) -> None:
-    folder, seal = made
+def test_a_lot_pressed_on_a_sealed_rig_is_a_lot_folder_with_audits(
+    challenge: tuple[Path, Path], tmp_path: Path
+) -> None:
+    folder, seal = challenge
     assert run("ask", folder, "case-001", "--lot", tmp_path / "lot", "--units", 2, "--seal", seal) == 0
     lot = open_lot_folder(tmp_path / "lot")
     assert sorted(lot.unit_paths) == sorted(lot.audit_paths) == ["R01", "R02"]
@@ -220,6 +222,6 @@ def test_a_lot_pressed_on_a_sealed_rig_is_a_lot_folder_with_audits(made: tuple[P
     assert lot.read_source().unlabelled.t_s[-1] > 100.0
 
 
-def test_a_lot_needs_a_unit(made: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_lot_needs_a_unit(challenge: tuple[Path, Path], tmp_path: Path) -> None:
     with pytest.raises(InputError):
-        press_rig_lot(*made, "case-001", 0, tmp_path / "lot")
+        press_rig_lot(*challenge, "case-001", 0, tmp_path / "lot")

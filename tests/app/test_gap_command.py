@@ -52,11 +52,11 @@ def test_diagnose_writes_the_report_and_the_page(case, tmp_path, capsys):
     assert "<html" in page.read_text()
 
 
-def test_check_says_what_the_runs_tell_and_diagnoses_nothing(case, tmp_path, capsys):
+def test_check_says_what_the_runs_identify_and_diagnoses_nothing(case, tmp_path, capsys):
     out = tmp_path / "c.json"
     assert main(["gap", "check", str(case), "--json", str(out)]) == 0
-    told = capsys.readouterr()
-    assert "told        5 of 5 base parameters" in told.out and "jointly" not in told.err
+    printed = capsys.readouterr()
+    assert "told        5 of 5 base parameters" in printed.out and "jointly" not in printed.err
     causes = json.loads(out.read_text())["identifiability"]["causes"]
     assert causes["readout_lag"]["is_told"] and causes["frame_compliance"]["hidden"] > 0.99
     # A ceiling that the output never reaches changes no sample; a resistor in place of the sensor would reach it.
@@ -70,13 +70,13 @@ def test_check_names_a_mistake_and_nothing_else(case, capsys):
     assert out.startswith("data") and "told" not in out
 
 
-def test_a_mistake_is_said_before_anything_else_and_gives_no_twin(case, tmp_path, capsys):
+def test_a_mistake_is_reported_before_anything_else_and_gives_no_twin(case, tmp_path, capsys):
     described = case / "runs/2/recording.json"
     described.write_text(json.dumps(METADATA | {"sample_rate_Hz": 25.0}))
     report, page = tmp_path / "g.json", tmp_path / "g.html"
     assert main(["gap", "diagnose", str(case), "--json", str(report), "--page", str(page)]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("data") and all(fact in out.splitlines()[0] for fact in ("50 Hz", "25 Hz"))
+    assert out.startswith("data") and all(rate_text in out.splitlines()[0] for rate_text in ("50 Hz", "25 Hz"))
     content = json.loads(report.read_text())
     assert content["verdict"] == "data" and content["twin"] is None
     assert [(d["what"], d["runs"]) for d in content["data"]] == [("rate", [2])]
@@ -129,7 +129,7 @@ def described(**change):
 
 
 @pytest.mark.parametrize(
-    ("damage", "fact"),
+    ("damage", "message"),
     [
         (lambda run: (run / "recording.json").unlink(), "recording.json"),
         (lambda run: (run / "recording.csv").unlink(), "recording.csv"),
@@ -144,11 +144,11 @@ def described(**change):
         (described(kind="smash"), "'smash'"),
     ],
 )
-def test_a_broken_case_ends_with_one_clear_line(case, damage, fact, capsys, tmp_path):
+def test_a_broken_case_ends_with_one_clear_line(case, damage, message, capsys, tmp_path):
     damage(case / "runs/2")
     assert main(["gap", "diagnose", str(case), "--json", str(tmp_path / "g.json")]) == 2
-    said = capsys.readouterr().err.strip().splitlines()
-    assert len(said) == 1 and fact in said[0]
+    stderr = capsys.readouterr().err.strip().splitlines()
+    assert len(stderr) == 1 and message in stderr[0]
     assert not (tmp_path / "g.json").exists()
 
 
@@ -162,8 +162,8 @@ def test_a_report_is_applied_without_diagnosing_again(case, tmp_path):
 
 
 def test_apply_takes_either_a_case_or_a_report(case, tmp_path, capsys):
-    for given in ([], ["--report", str(tmp_path / "g.json"), str(case)]):
-        assert main(["gap", "apply", *given, "--out", str(tmp_path / "t.json")]) == 2
+    for options in ([], ["--report", str(tmp_path / "g.json"), str(case)]):
+        assert main(["gap", "apply", *options, "--out", str(tmp_path / "t.json")]) == 2
         assert "--report" in capsys.readouterr().err
 
 
@@ -211,9 +211,9 @@ def test_what_the_gap_costs_a_calibration_is_printed_reported_and_drawn(case, tm
     assert errors["run"] == "3"
     # What a lag of 0.1 s costs is nearly all gone once the twin has it.
     assert abs(errors["repaired"] - errors["rig"]) < 0.3 * (errors["base"] - errors["rig"])
-    said = f"base twin {errors['base']:.3g} N, repaired twin {errors['repaired']:.3g} N, rig {errors['rig']:.3g} N"
+    sentence = f"base twin {errors['base']:.3g} N, repaired twin {errors['repaired']:.3g} N, rig {errors['rig']:.3g} N"
     printed = capsys.readouterr().out
-    assert f"trained on: {said.split(', rig')[0]}" in printed.replace("\n", " ") and said in printed
+    assert f"trained on: {sentence.split(', rig')[0]}" in printed.replace("\n", " ") and sentence in printed
     assert f"<b>{errors['repaired']:.3g} N</b> on the repaired twin" in page.read_text()
 
 
@@ -233,8 +233,10 @@ def test_a_cause_that_is_named_is_not_said_to_show_nothing(case, tmp_path):
         write_run(case / "runs" / number, profiles.ramps([3.0] * 3, speed), (cut,), int(number))
     assert main(["gap", "diagnose", str(case), "--json", str(out)]) == 0
     content = json.loads(out.read_text())
-    named = [cause["effect"] for cause in content["causes"] if cause["probability"] > 0.5]
-    assert named == ["adc_saturation"]
-    told = content["identifiability"]
-    assert told["causes"]["adc_saturation"]["is_told"]
-    assert not any("adc_saturation" in json.dumps(line) and "alike" not in json.dumps(line) for line in told["untold"])
+    causes = [cause["effect"] for cause in content["causes"] if cause["probability"] > 0.5]
+    assert causes == ["adc_saturation"]
+    identifiability = content["identifiability"]
+    assert identifiability["causes"]["adc_saturation"]["is_told"]
+    assert not any(
+        "adc_saturation" in json.dumps(line) and "alike" not in json.dumps(line) for line in identifiability["untold"]
+    )

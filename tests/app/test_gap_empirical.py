@@ -26,8 +26,8 @@ ENGLISH = partial(text, "en")
 def case(tmp_path_factory):
     """A cable that pulls at the load cell in proportion to the travel: no effect of the catalogue."""
     folder = tmp_path_factory.mktemp("drag")
-    pressed = (profiles.ramps([3.0] * 2, 0.6), profiles.ramps([3.0] * 5, 4.0), profiles.rate_sweep(2.8))
-    for k, profile in enumerate(pressed, 1):
+    press_profiles = (profiles.ramps([3.0] * 2, 0.6), profiles.ramps([3.0] * 5, 4.0), profiles.rate_sweep(2.8))
+    for k, profile in enumerate(press_profiles, 1):
         t_s, stage_mm = profile.sample(50.0)
         twin = Twin(BaseParameters(kappa_per_N=0.06), (), READOUT)
         force_N, output_V = simulate(twin, t_s, stage_mm, np.random.default_rng(k))
@@ -48,11 +48,11 @@ def report(case, tmp_path_factory):
 def test_the_report_describes_what_is_left_and_calls_it_empirical(report):
     content = json.loads(report.read_text())
     assert content["verdict"] == "unknown"
-    found = content["residual"]
-    assert found["kind"] == "empirical" and found["shrink"]["low"] > 0.0
-    (term, *_) = found["terms"]
+    residual = content["residual"]
+    assert residual["kind"] == "empirical" and residual["shrink"]["low"] > 0.0
+    (term, *_) = residual["terms"]
     assert (term["place"], term["variable"], term["unit"]) == ("force_N", "position", "N")
-    assert term["coefficient"] == pytest.approx(DRAG_N_per_mm * found["depth_mm"], abs=4 * term["standard_error"])
+    assert term["coefficient"] == pytest.approx(DRAG_N_per_mm * residual["depth_mm"], abs=4 * term["standard_error"])
     page = report.with_suffix(".html").read_text()
     assert ENGLISH("gap.left") in page and "force_N += " in page
 

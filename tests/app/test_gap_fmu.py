@@ -102,8 +102,8 @@ def test_a_unit_of_c_is_diagnosed_against_a_rig_of_another_integrator(unit: Path
         clean = solve_ivp(rates, (0.0, t_s[-1]), [0.0, 0.0], t_eval=t_s, max_step=0.01, rtol=1e-7).y[0]
         columns = {"t_s": t_s, "push_N": push_N, "place_m": clean + rng.normal(0.0, 0.002, len(t_s))}
         runs.append(recorded(cart, str(k), columns))
-    found = diagnose_simulator(cart, runs)
-    assert (found.verdict, found.best.ids) == ("explained", ("friction",))
-    parameters = found.report()["parameters"]
+    diagnosis = diagnose_simulator(cart, runs)
+    assert (diagnosis.verdict, diagnosis.best.ids) == ("explained", ("friction",))
+    parameters = diagnosis.report()["parameters"]
     assert parameters["friction.size"] == pytest.approx(0.3, rel=0.05)
     assert parameters["stiffness"] == pytest.approx(8.0, rel=0.02)

@@ -56,7 +56,7 @@ BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, s
 DEPTH_mm = 3.1
 
 
-def pressed(*effects: EffectSetting) -> list[Run]:
+def press_runs(*effects: EffectSetting) -> list[Run]:
     """Four runs of a rig with these effects, by the profiles people press."""
     rng = np.random.default_rng(1)
     shapes = (
@@ -92,33 +92,33 @@ def in_kgf(run: Run) -> Run:
 
 AGEING = EffectSetting("ageing_drift", {"gamma": 0.004, "tau": 60.0})
 CASES: dict[str, tuple[str, Callable[[], list[Run]]]] = {
-    "nothing": ("no_gap", pressed),
-    "a pad that relaxes": ("explained", lambda: pressed(EffectSetting("stress_relaxation", {"g": 0.1, "tau": 5.0}))),
-    "a bad contact": ("explained", lambda: pressed(EffectSetting("dropped_samples", {}, ((6.0, 12),)))),
-    "a warm channel": ("explained", lambda: pressed(EffectSetting("thermal_drift", {"alpha": 0.002}))),
-    "no thermometer": ("ambiguous", lambda: [replace(run, temperature_C=None) for run in pressed(AGEING)]),
-    "a drifting offset": ("unknown", lambda: list(map(drifting, pressed()))),
-    "a dragging cable": ("unknown", lambda: list(map(dragging, pressed()))),
-    "another unit of force": ("data", lambda: [run if run.name != "2" else in_kgf(run) for run in pressed()]),
-    "no stage": ("no_gap", lambda: [replace(run, stage_mm=None) for run in pressed()]),
+    "nothing": ("no_gap", press_runs),
+    "a pad that relaxes": ("explained", lambda: press_runs(EffectSetting("stress_relaxation", {"g": 0.1, "tau": 5.0}))),
+    "a bad contact": ("explained", lambda: press_runs(EffectSetting("dropped_samples", {}, ((6.0, 12),)))),
+    "a warm channel": ("explained", lambda: press_runs(EffectSetting("thermal_drift", {"alpha": 0.002}))),
+    "no thermometer": ("ambiguous", lambda: [replace(run, temperature_C=None) for run in press_runs(AGEING)]),
+    "a drifting offset": ("unknown", lambda: list(map(drifting, press_runs()))),
+    "a dragging cable": ("unknown", lambda: list(map(dragging, press_runs()))),
+    "another unit of force": ("data", lambda: [run if run.name != "2" else in_kgf(run) for run in press_runs()]),
+    "no stage": ("no_gap", lambda: [replace(run, stage_mm=None) for run in press_runs()]),
 }
 
 
 @pytest.fixture(scope="module", params=layered(CASES, ("nothing", "a warm channel", "no thermometer")))
 def diagnosis(request: pytest.FixtureRequest) -> Diagnosis:
     verdict, runs = CASES[request.param]
-    found = diagnose(Case("G1", tuple(runs())))
-    assert found.verdict == verdict
-    return found
+    diagnosis = diagnose(Case("G1", tuple(runs())))
+    assert diagnosis.verdict == verdict
+    return diagnosis
 
 
 @pytest.fixture(scope="module")
 def report(diagnosis: Diagnosis) -> dict[str, Any]:
-    kept: dict[str, Any] = json.loads(json.dumps(diagnosis.report(), allow_nan=False))
-    return kept
+    loaded: dict[str, Any] = json.loads(json.dumps(diagnosis.report(), allow_nan=False))
+    return loaded
 
 
-def shown(html: str) -> list[str]:
+def visible_text(html: str) -> list[str]:
     """What a page shows: its text and its labels, without scripts, styles and what is drawn from data."""
     bare = re.sub(r"<(script|style)\b.*?</\1>", " ", html, flags=re.DOTALL)
     labels = re.findall(r"(?:aria-label|title|alt)='([^']*)'", bare)
@@ -132,21 +132,21 @@ def page(report: dict[str, Any], diagnosis: Diagnosis) -> str:
 
 def test_the_standalone_page_is_korean(report: dict[str, Any], page: str, english_in: English) -> None:
     assert '<html lang="ko">' in page
-    assert [part for part in shown(page) if english_in(part)] == []
-    assert text("ko", "gap.data" if report["verdict"] == "data" else "gap.runs") in shown(page)
+    assert [part for part in visible_text(page) if english_in(part)] == []
+    assert text("ko", "gap.data" if report["verdict"] == "data" else "gap.runs") in visible_text(page)
 
 
 def test_the_figures_of_the_page_are_korean(report: dict[str, Any], page: str, english_in: English) -> None:
     # Over time, twice for every channel; with a diagnosis also a map for each, ranking and gain.
     channels = 1 if {"force_N", "stage_mm"} & set(report["missing_channels"]) else 2
-    drawn = re.findall(r"<svg class='drawing'.*?</svg>", page)
-    assert len(drawn) >= (2 * channels if report["verdict"] == "data" else 3 * channels + 2)
-    for figure in drawn:
-        assert shown(figure) and [part for part in shown(figure) if english_in(part)] == []
+    figures = re.findall(r"<svg class='drawing'.*?</svg>", page)
+    assert len(figures) >= (2 * channels if report["verdict"] == "data" else 3 * channels + 2)
+    for figure in figures:
+        assert visible_text(figure) and [part for part in visible_text(figure) if english_in(part)] == []
 
 
 def test_the_chain_and_the_tables_are_korean(report: dict[str, Any], english_in: English) -> None:
-    labels = shown(svg(chain_figure(report, KOREAN)))
+    labels = visible_text(svg(chain_figure(report, KOREAN)))
     assert labels and english_in(" ".join(labels)) == []
     tables = (cause_rows, location_rows, residual_rows, mistake_rows)
     cells = [cell for rows in tables for row in rows(report, KOREAN) for cell in row.values()]
@@ -158,7 +158,7 @@ def test_the_chain_and_the_tables_are_korean(report: dict[str, Any], english_in:
     assert [cell for cell in [*cells, *lines] if english_in(cell)] == []
 
 
-def test_the_desk_is_korean_and_hands_out_the_page(
+def test_the_page_gap_is_korean_and_hands_out_its_report(
     diagnosis: Diagnosis,
     calibrated: str,
     show: Any,
@@ -178,10 +178,10 @@ def test_the_desk_is_korean_and_hands_out_the_page(
     screen = show(calibrated, "gap", case=str(case), lang="ko")
     assert not screen.exception
     kinds = ("header", "markdown", "caption", "warning", "error")
-    said_on_it = [one.value for kind in kinds for one in screen.get(kind)]
-    said_on_it += [str(cell) for table in screen.table for row in table.value.to_numpy() for cell in row]
-    said_on_it += [str(name) for table in screen.table for name in table.value.columns]
-    of_the_page = [re.sub(r":material/\w+:", "", one) for one in said_on_it]
+    texts = [one.value for kind in kinds for one in screen.get(kind)]
+    texts += [str(cell) for table in screen.table for row in table.value.to_numpy() for cell in row]
+    texts += [str(name) for table in screen.table for name in table.value.columns]
+    of_the_page = [re.sub(r":material/\w+:", "", one) for one in texts]
     assert [one for one in of_the_page if english_in(one)] == []
     ((label, options),) = offered
     assert (label, options["file_name"]) == (KOREAN("gap.page.save"), "rig-7-gap.html")
@@ -189,17 +189,17 @@ def test_the_desk_is_korean_and_hands_out_the_page(
 
 
 def test_the_english_sentences_of_a_report_stay_beside_their_codes(report: dict[str, Any]) -> None:
-    for place in report["where"]:
-        assert [str(Reason.parse(one)) for one in place["reasons"]] == [place["regime"], place["detail"]]
+    for location in report["where"]:
+        assert [str(Reason.parse(one)) for one in location["reasons"]] == [location["regime"], location["detail"]]
     (why,) = report["next_experiment"]["reasons"]
     assert str(Reason.parse(why)) == report["next_experiment"]["why"]
 
 
 def test_a_report_of_an_older_version_is_shown_as_it_stands() -> None:
-    place = {"stage": "mechanics", "channel": "force", "regime": "hold", "share": 0.5, "detail": "maps: stage→force"}
-    (row,) = location_rows({"where": [place]}, KOREAN)
-    said_of = (KOREAN("gap.stage.mechanics"), KOREAN("gap.channel.force"), "hold", "maps: stage→force")
-    assert (row["stage"], row["channel"], row["regime"], row["detail"]) == said_of
+    location = {"stage": "mechanics", "channel": "force", "regime": "hold", "share": 0.5, "detail": "maps: stage→force"}
+    (row,) = location_rows({"where": [location]}, KOREAN)
+    texts = (KOREAN("gap.stage.mechanics"), KOREAN("gap.channel.force"), "hold", "maps: stage→force")
+    assert (row["stage"], row["channel"], row["regime"], row["detail"]) == texts
     assert next_run_reason({"profile": "rest", "why": "it rests"}, KOREAN) == "it rests"
     assert next_run_reason({}, KOREAN) == ""
 
@@ -207,8 +207,8 @@ def test_a_report_of_an_older_version_is_shown_as_it_stands() -> None:
 def test_what_a_plug_in_brings_is_shown_as_it_is_written() -> None:
     assert effect_name("cable_drag", KOREAN) == "cable drag"
     alias = Alias("electronics", "a loose plug", 0.5, "rest", "temperature_C", 1.0, "press the plug home")
-    told = {"alias": Reason.parse(alias.detail), "advice": Reason.parse(alias.advice)}
-    assert "a loose plug" in render_reason(Reason("gap.next.alias", {"effect": "cable_drag", **told}), KOREAN)
+    reasons = {"alias": Reason.parse(alias.detail), "advice": Reason.parse(alias.advice)}
+    assert "a loose plug" in render_reason(Reason("gap.next.alias", {"effect": "cable_drag", **reasons}), KOREAN)
     assert profile_name("my own dance", KOREAN) == "my own dance"
 
 
@@ -228,8 +228,8 @@ def test_everything_softcal_names_has_a_korean_name(english_in: English) -> None
     kinds = recordings.Kind.__args__  # type: ignore[attr-defined]
     assert english_in(" ".join(text("ko", f"gap.mistake.{kind}") for kind in kinds)) == []
     rng = np.random.default_rng(1)
-    made = [make(rng, 3.0).name for make in (*profiles.BUILT_IN.values(), *PROTOCOLS.values())]
-    names = [profile_name(name, KOREAN) for name in (*made, *(SET_UP_min.keys() - {"press"}), "fast_ramps")]
+    profile_names = [make(rng, 3.0).name for make in (*profiles.BUILT_IN.values(), *PROTOCOLS.values())]
+    names = [profile_name(name, KOREAN) for name in (*profile_names, *(SET_UP_min.keys() - {"press"}), "fast_ramps")]
     assert [name for name in names if english_in(name)] == []
 
 

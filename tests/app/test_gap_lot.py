@@ -53,24 +53,24 @@ def test_the_lot_shares_a_lag_and_its_twin_beats_the_one_without(lot, tmp_path, 
     assert worth["unit"] == "u1" and worth["explained"] < worth["nominal"] and len(worth["rig"]) == 2
 
 
-def said(folder, capsys):
+def error_line(folder, capsys):
     assert main(["gap", "lot", str(folder)]) == 2
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1
     return error[0]
 
 
-def test_a_folder_without_cases_is_told(tmp_path, capsys):
-    assert str(tmp_path) in said(tmp_path, capsys)
-    assert str(tmp_path / "none") in said(tmp_path / "none", capsys)
+def test_a_folder_without_cases_is_reported(tmp_path, capsys):
+    assert str(tmp_path) in error_line(tmp_path, capsys)
+    assert str(tmp_path / "none") in error_line(tmp_path / "none", capsys)
 
 
-def test_one_case_twice_is_told(lot, capsys):
+def test_one_case_twice_is_reported(lot, capsys):
     shutil.copytree(lot / "u1", lot / "u3")
-    error = said(lot, capsys)
+    error = error_line(lot, capsys)
     assert all(name in error for name in ("u1", "u3", "U1"))
 
 
-def test_cases_of_different_protocols_are_told(lot, capsys):
+def test_cases_of_different_protocols_are_reported(lot, capsys):
     write_run(lot / "u2/runs/3", profiles.ramps([3.0] * 2, 0.8), 0.1, 5, serial="U2")
-    assert said(lot, capsys)
+    assert error_line(lot, capsys)

@@ -36,13 +36,13 @@ def rms(simulator: Simulator, runs: list[SimulatorRun], parameters: Any) -> floa
 def test_a_motor_whose_friction_differs_by_direction(monkeypatch: pytest.MonkeyPatch, measured_data: Path) -> None:
     """Plain least squares: 38.1 rad/s, 47.4 held out; with friction of two sizes 16.9 and 23.3."""
     motor = of_rig("motor_drive", monkeypatch)
-    fitted, held = (
+    fitted, held_out = (
         runs_of(measured_data / "rigs" / "motor", motor, "1245"),
         runs_of(measured_data / "rigs" / "motor", motor, "36"),
     )
     report = diagnose_simulator(motor, fitted).report()
-    assert rms(motor, fitted, report["base"]) < 38.2 and rms(motor, held, report["base"]) < 47.6
-    assert rms(motor, fitted, report["parameters"]) < 16.95 and rms(motor, held, report["parameters"]) < 23.4
+    assert rms(motor, fitted, report["base"]) < 38.2 and rms(motor, held_out, report["base"]) < 47.6
+    assert rms(motor, fitted, report["parameters"]) < 16.95 and rms(motor, held_out, report["parameters"]) < 23.4
     # Something is left that nobody has named.
     partial: Any = report["partial"]
     assert report["verdict"] == "unknown" and "two_sided_friction" in partial["effects"]
@@ -51,13 +51,15 @@ def test_a_motor_whose_friction_differs_by_direction(monkeypatch: pytest.MonkeyP
 def test_a_heat_exchanger(monkeypatch: pytest.MonkeyPatch, measured_data: Path) -> None:
     """Plain least squares: 0.640 °C, 0.805 held out; with the two causes that take most of it 0.577 and 0.697."""
     exchanger = of_rig("heat_exchanger", monkeypatch)
-    fitted, held = (
+    fitted, held_out = (
         runs_of(measured_data / "rigs" / "exchanger", exchanger, "12"),
         runs_of(measured_data / "rigs" / "exchanger", exchanger, "3"),
     )
     report = diagnose_simulator(exchanger, fitted).report()
-    assert rms(exchanger, fitted, report["base"]) < 0.641 and rms(exchanger, held, report["base"]) < 0.807
-    assert rms(exchanger, fitted, report["parameters"]) < 0.578 and rms(exchanger, held, report["parameters"]) < 0.699
+    assert rms(exchanger, fitted, report["base"]) < 0.641 and rms(exchanger, held_out, report["base"]) < 0.807
+    assert (
+        rms(exchanger, fitted, report["parameters"]) < 0.578 and rms(exchanger, held_out, report["parameters"]) < 0.699
+    )
     assert report["verdict"] == "unknown"
 
 
@@ -75,6 +77,6 @@ def test_two_tanks_whose_causes_gain_little_alone(monkeypatch: pytest.MonkeyPatc
         inputs = {"t_s": t_s, "pump_V": np.clip(2.9 + 0.9 * np.sum(waves, axis=0), 0.0, 7.0)}
         level = tanks(inputs, truth)["level_V"] + rng.normal(0.0, 0.03, len(t_s))
         runs.append(recorded(tanks, name, inputs | {"level_V": level}))
-    found = diagnose_simulator(tanks, runs)
-    assert (found.verdict, found.best.hypothesis.ids) == ("explained", ("overflow", "pump_curve"))
-    assert found.gap["level_V"].rmse_after < 0.032
+    diagnosis = diagnose_simulator(tanks, runs)
+    assert (diagnosis.verdict, diagnosis.best.hypothesis.ids) == ("explained", ("overflow", "pump_curve"))
+    assert diagnosis.gap["level_V"].rmse_after < 0.032

@@ -32,11 +32,11 @@ def slide(require: Any) -> Any:
 @pytest.mark.parametrize("friction_N", [0.0, 0.4])
 def test_its_parameters_with_a_neutral_value_are_the_candidates(slide: Any, friction_N: float) -> None:
     problem = slide.problem(friction_N)
-    found = diagnose_simulator(problem.simulator, problem.runs)
-    likely = {c.effect for c in found.causes if c.probability > 0.5}
-    assert (found.verdict, likely) == (("explained", {"dry_friction_N"}) if friction_N else ("no_gap", set()))
+    diagnosis = diagnose_simulator(problem.simulator, problem.runs)
+    likely = {c.effect for c in diagnosis.causes if c.probability > 0.5}
+    assert (diagnosis.verdict, likely) == (("explained", {"dry_friction_N"}) if friction_N else ("no_gap", set()))
     if friction_N:
-        (cause,) = (c.parameters["change"] for c in found.causes if c.effect == "dry_friction_N")
+        (cause,) = (c.parameters["change"] for c in diagnosis.causes if c.effect == "dry_friction_N")
         assert cause.low < friction_N < cause.high
 
 
@@ -51,13 +51,13 @@ def test_what_both_fit_agrees_within_both_intervals(slide: Any, capsys: pytest.C
     fitted, result = sysid.optimize(params.copy(), residual, verbose=False)
     theirs_s, began = time.process_time() - began, time.process_time()
     problem = from_sysid(params, runs, {"dry_friction_N": 0.0})
-    found = diagnose_simulator(problem.simulator, problem.runs)
+    diagnosis = diagnose_simulator(problem.simulator, problem.runs)
     ours_s = time.process_time() - began
     at_best, _, _ = residual(fitted.as_vector(), fitted.copy())
     _, half = sysid.calculate_intervals([np.concatenate([r.ravel() for r in at_best])], result.jac, alpha=0.10)
-    values = found.model.simulator.parameter_values(found.best.hypothesis, found.best.coordinates)
-    names = [p.name for p in found.best.hypothesis.parameters]
-    spread = dict(zip(names, np.sqrt(np.diag(found.best.covariance)), strict=True))
+    values = diagnosis.model.simulator.parameter_values(diagnosis.best.hypothesis, diagnosis.best.coordinates)
+    names = [p.name for p in diagnosis.best.hypothesis.parameters]
+    spread = dict(zip(names, np.sqrt(np.diag(diagnosis.best.covariance)), strict=True))
     ours = {name: values.get(name, values.get(f"{name}.change")) for name in ("mass_kg", "damping", "dry_friction_N")}
     wide = {
         "mass_kg": 1.645 * spread["mass_kg"],

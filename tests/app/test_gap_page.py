@@ -60,7 +60,7 @@ def run(rng: np.random.Generator) -> RunView:
 def test_the_page_answers_the_five_questions(run: RunView) -> None:
     page = gap_page(REPORT, [run], "A17", ENGLISH)
     assert [key for key in ("where", "why", "gain", "sure", "next") if ENGLISH(f"gap.{key}") not in page] == []
-    assert all(fact in page for fact in ("thermal drift", "ageing drift", "temperature step", "97.0 %"))
+    assert all(text in page for text in ("thermal drift", "ageing drift", "temperature step", "97.0 %"))
 
 
 def test_nothing_is_loaded_from_elsewhere(run: RunView) -> None:
@@ -74,7 +74,7 @@ def test_text_of_a_report_cannot_become_markup(run: RunView) -> None:
     assert "a &lt; b &amp; c" in page
 
 
-def test_what_was_taken_off_the_runs_is_said_unless_it_shows_as_nothing(run: RunView) -> None:
+def test_what_was_taken_off_the_runs_is_reported_unless_it_shows_as_nothing(run: RunView) -> None:
     sizes = {"run": 1, "force_N": 0.03, "resistance": 1e-6, "seat_mm": 1e-5}
     page = gap_page({**REPORT, "offsets": [sizes]}, [run], "A17", ENGLISH)
     assert ENGLISH("gap.own.force_N", size="0.030") in page
@@ -114,8 +114,8 @@ def test_the_residual_map_counts_in_units_of_the_noise(run: RunView) -> None:
 def test_direction_tells_loading_hold_and_unloading() -> None:
     t_s = np.arange(300) / 50.0
     drive = np.interp(t_s, [0.0, 2.0, 4.0, 6.0], [0.0, 2.0, 2.0, 0.0])
-    got = direction(drive, t_s)
-    assert (got[50], got[150], got[250]) == (0.0, 1.0, 2.0)
+    directions = direction(drive, t_s)
+    assert (directions[50], directions[150], directions[250]) == (0.0, 1.0, 2.0)
 
 
 def test_a_thinned_trace_keeps_its_peak(run: RunView) -> None:
@@ -143,8 +143,8 @@ def test_a_channel_that_was_not_recorded_has_no_figure(run: RunView) -> None:
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
 def test_the_chain_shows_the_share_of_each_stage(share: float) -> None:
-    place = {"stage": "load_cell", "channel": "force", "regime": "hold", "share": share, "detail": ""}
-    report = {"where": [place, {**place, "share": 0.9}], "unseen_stages": ["motion"]}
+    location = {"stage": "load_cell", "channel": "force", "regime": "hold", "share": share, "detail": ""}
+    report = {"where": [location, {**location, "share": 0.9}], "unseen_stages": ["motion"]}
     (bars,) = chain_figure(report, ENGLISH).data
     assert dict(zip(bars.y, bars.x, strict=True))["load cell"] == pytest.approx(share)
     assert dict(zip(bars.y, bars.text, strict=True))["motion"] == ENGLISH("gap.chain.unjudged")
@@ -159,10 +159,10 @@ def test_names_of_bars_stand_beside_them_and_axes_have_units() -> None:
     assert (figure.layout.xaxis.title.text, figure.layout.xaxis2.title.text) == ("mV", "mN")
 
 
-def test_the_legend_of_the_traces_stays_in_the_figure_on_the_desk(run: RunView) -> None:
+def test_the_legend_of_the_traces_stays_in_the_figure_on_the_screen(run: RunView) -> None:
     figure = trace_figure([run], "output_V", ENGLISH)
     assert figure is not None
-    own = figure.layout.legend.to_plotly_json()
-    shown = apply_theme(figure, palette("light")).update_layout(legend=own)
+    legend = figure.layout.legend.to_plotly_json()
+    themed = apply_theme(figure, palette("light")).update_layout(legend=legend)
     # A place below the axes is counted from the axes: counted from the figure it lies outside.
-    assert shown.layout.legend.y < 0 and shown.layout.legend.yref == "paper"
+    assert themed.layout.legend.y < 0 and themed.layout.legend.yref == "paper"

@@ -32,19 +32,19 @@ def installed(install_example: Callable[[Path], Path]) -> Path:
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sealed rig with adhesion, by the generator that shares no code with any effect."""
-    drawn = draw_case(7, "case-1", "none")
+    sealed_case = draw_case(7, "case-1", "none")
     sticky = Cause("adhesion", OUTSIDE_FORM, {"pull_N": 0.25, "reach_mm": 0.25})
     folder = tmp_path_factory.mktemp("sticky") / "case-1"
-    write_case(folder, replace(drawn, causes=(sticky,)))
+    write_case(folder, replace(sealed_case, causes=(sticky,)))
     return folder
 
 
 def softcal(site: Path, *arguments: str) -> str:
     environment = {**os.environ, "PYTHONPATH": str(site)}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", MAIN, *arguments], env=environment, check=True, capture_output=True, text=True
     )
-    return done.stdout
+    return process.stdout
 
 
 def test_it_is_listed_last(installed: Path) -> None:
@@ -58,8 +58,8 @@ def test_a_sealed_rig_that_sticks_is_explained_and_applied(installed: Path, case
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["causes"][0]["effect"] == "adhesion" and report["causes"][0]["probability"] > 0.9
     assert report["verdict"] == "explained" and report["plugins"] == ["adhesion"]
-    found = report["causes"][0]["parameters"]["Fa"]["value"]
-    assert found == pytest.approx(0.25, rel=0.15)
+    value = report["causes"][0]["parameters"]["Fa"]["value"]
+    assert value == pytest.approx(0.25, rel=0.15)
     softcal(installed, "gap", "apply", "--report", str(tmp_path / "r.json"), "--out", str(tmp_path / "twin.json"))
     assert json.loads((tmp_path / "twin.json").read_text())["effects"][0]["effect"] == "adhesion"
 
@@ -79,8 +79,8 @@ def test_its_own_tests_are_those_of_the_page(installed: Path, tmp_path: Path) ->
     (tmp_path / "test_page.py").write_text(test)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path / "test_page.py")]
     environment = {**os.environ, "PYTHONPATH": str(installed), "PYTEST_ADDOPTS": ""}
-    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
-    assert "7 passed" in done.stdout, done.stdout
+    process = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
+    assert "7 passed" in process.stdout, process.stdout
 
 
 def test_a_broken_plug_in_stops_with_one_line(tmp_path: Path) -> None:
@@ -90,6 +90,6 @@ def test_a_broken_plug_in_stops_with_one_line(tmp_path: Path) -> None:
     (info / "entry_points.txt").write_text("[softcal.effects]\nwear = no_such_module:WEAR\n")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     command = [sys.executable, "-c", MAIN, "gap", "effects"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
-    assert done.returncode != 0 and "Traceback" not in done.stderr
-    assert "'wear'" in done.stderr and "worn 1.0" in done.stderr
+    process = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert process.returncode != 0 and "Traceback" not in process.stderr
+    assert "'wear'" in process.stderr and "worn 1.0" in process.stderr

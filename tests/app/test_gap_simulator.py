@@ -35,16 +35,16 @@ FINE_s = 2e-5
 
 @numba.njit
 def _swing(push_N: np.ndarray, friction_N: float, play_mm: float) -> np.ndarray:
-    out, place, speed = np.zeros(len(push_N)), 0.0, 0.0
+    out, position, speed = np.zeros(len(push_N)), 0.0, 0.0
     steps = int(round(1.0 / RATE_Hz / FINE_s))
     for n in range(len(push_N) - 1):
         for part in range(steps):
             force = push_N[n] + (push_N[n + 1] - push_N[n]) * part / steps
-            force -= 0.65 * np.sign(place) * max(abs(place) - play_mm, 0.0) + 0.008 * speed
+            force -= 0.65 * np.sign(position) * max(abs(position) - play_mm, 0.0) + 0.008 * speed
             force -= friction_N * 2.0 / np.pi * np.arctan(speed / 3.0)
             speed += FINE_s * force * 1000.0 / 1.3
-            place += FINE_s * speed
-        out[n + 1] = place
+            position += FINE_s * speed
+        out[n + 1] = position
     return out
 
 
@@ -166,20 +166,20 @@ def lines(**hidden: float) -> list[Any]:
     rng, out = np.random.default_rng(4), []
     for name, speed in (("a", 1.0), ("b", 2.3)):
         inputs = {"t_s": T, "load_N": 2.0 * np.abs(np.sin(speed * T))}
-        place = line(inputs, p)["place_mm"]
-        out.append(recorded(LINE, name, inputs | {"place_mm": place + rng.normal(0.0, 0.004, len(T))}))
+        place_mm = line(inputs, p)["place_mm"]
+        out.append(recorded(LINE, name, inputs | {"place_mm": place_mm + rng.normal(0.0, 0.004, len(T))}))
     return out
 
 
-def test_rivals_are_a_pair_and_the_run_that_parts_them_is_proposed() -> None:
-    found = diagnose_simulator(LINE, lines(**{"bend.a": 0.01}))
-    assert found.verdict == "ambiguous"
-    assert [sorted(pair) for pair in found.ambiguous_with] == [["bend", "twin_bend"]]
-    assert found.next_experiment.profile == "heavy" and found.next_experiment.separation_sigma > 10
+def test_competing_hypotheses_are_a_pair_and_the_run_that_separates_them_is_proposed() -> None:
+    diagnosis = diagnose_simulator(LINE, lines(**{"bend.a": 0.01}))
+    assert diagnosis.verdict == "ambiguous"
+    assert [sorted(pair) for pair in diagnosis.ambiguous_with] == [["bend", "twin_bend"]]
+    assert diagnosis.next_experiment.profile == "heavy" and diagnosis.next_experiment.separation_sigma > 10
     heavy = LINE.experiments["heavy"].inputs
-    place = line(heavy, {"softness": 0.6, "drift.rate": 0.0, "bend.a": 0.01, "twin_bend.a": 0.0})["place_mm"]
+    place_mm = line(heavy, {"softness": 0.6, "drift.rate": 0.0, "bend.a": 0.01, "twin_bend.a": 0.0})["place_mm"]
     more = recorded(
-        LINE, "heavy", dict(heavy) | {"place_mm": place + np.random.default_rng(9).normal(0, 0.004, len(T))}
+        LINE, "heavy", dict(heavy) | {"place_mm": place_mm + np.random.default_rng(9).normal(0, 0.004, len(T))}
     )
     settled = diagnose_simulator(LINE, [*lines(**{"bend.a": 0.01}), more])
     assert settled.verdict == "explained" and settled.causes[0].effect == "bend"
@@ -201,7 +201,7 @@ def test_scaling_a_channel_changes_no_answer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reference", "told"),
+    ("reference", "message"),
     [
         ("mass_spring_damper", "mass_spring_damper"),
         ("no_such_module:SIMULATOR", "no_such_module"),
@@ -209,10 +209,10 @@ def test_scaling_a_channel_changes_no_answer() -> None:
     ],
 )
 def test_a_simulator_that_is_none_is_refused_in_one_line(
-    reference: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    reference: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["gap", "diagnose", str(tmp_path), "--simulator", reference]) not in (0, 1)
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_what_a_simulator_gives_is_checked() -> None:

@@ -12,9 +12,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "own-simulator.md"
 
 
 @pytest.mark.parametrize("count", [1, 2])
-@pytest.mark.parametrize(("creep", "bend", "expected"), [(0.012, 0.0, "creep"), (0.0, 0.004, "bottoming")])
+@pytest.mark.parametrize(("creep", "curvature", "expected"), [(0.012, 0.0, "creep"), (0.0, 0.004, "bottoming")])
 def test_the_page_is_what_runs(
-    creep: float, bend: float, expected: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    creep: float, curvature: float, expected: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocks = [block.split("```")[0] for block in PAGE.read_text().split("```python\n")[1:]]
     name = f"my_rig_{expected}_{count}"
@@ -24,7 +24,7 @@ def test_the_page_is_what_runs(
     for number, speed in ((1, 0.5), (2, 1.3)):
         t_s = np.arange(0.0, 20.0, 0.05)
         load_N = 12.0 * np.abs(np.sin(speed * t_s))
-        height_mm = 22.0 - 0.13 * load_N - bend * load_N**2 - creep * np.log1p(t_s) * load_N
+        height_mm = 22.0 - 0.13 * load_N - curvature * load_N**2 - creep * np.log1p(t_s) * load_N
         folder = tmp_path / "rig" / "runs" / str(number)
         folder.mkdir(parents=True)
         table = np.column_stack([t_s, load_N, height_mm + rng.normal(0.0, 0.01, len(t_s))])

@@ -61,15 +61,15 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_dictionary_is_diagnosed_applied_and_read(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    called = ["--simulator", "my_foot:SIMULATOR"]
-    assert main(["gap", "diagnose", str(rig), *called, "--json", "r.json"]) == 0
+    arguments = ["--simulator", "my_foot:SIMULATOR"]
+    assert main(["gap", "diagnose", str(rig), *arguments, "--json", "r.json"]) == 0
     report = json.loads(Path("r.json").read_text())
     assert report["verdict"] == "explained" and report["causes"][0]["effect"] == "creep"
     assert report["where"][0]["stage"] == "foot" and report["simulator"] == "my_foot"
     assert report["parameters"]["start@2"] == pytest.approx(2.0, abs=0.02)
     assert report["gap"]["sunk_mm"]["noise_floor"] == 0.02
     assert "prior       soft = 2 ± 0.1, fitted" in capsys.readouterr().out
-    assert main(["gap", "apply", "--report", "r.json", "--out", "p.json", *called]) == 0
+    assert main(["gap", "apply", "--report", "r.json", "--out", "p.json", *arguments]) == 0
 
 
 def test_processes_give_the_same_report(rig: Path) -> None:
@@ -86,14 +86,14 @@ def test_calls_are_made_in_other_processes_and_may_fail_there(rig: Path) -> None
     runs, _ = read_runs(rig, declared)
     with in_processes("my_foot:SIMULATOR", declared, 2) as simulator:
         assert simulator.run_many is not None
-        asked = [
+        calls = [
             (runs[0].driving(("push_N",)), {"soft": s, "start": 0, "toe.size": 0, "creep.rate": 0}) for s in (1, 45)
         ]
-        good, bad = simulator.run_many(asked)
+        good, bad = simulator.run_many(calls)
         assert isinstance(good, dict) and good["process"][0] != os.getpid()
         assert "ValueError: too soft" in str(bad)
-        found = diagnose_simulator(simulator, runs)
-    assert found.best.ids == ("creep",)
+        diagnosis = diagnose_simulator(simulator, runs)
+    assert diagnosis.best.ids == ("creep",)
     with pytest.raises(InputError, match="--processes 0"), in_processes("my_foot:SIMULATOR", declared, 0):
         pass
 
@@ -108,9 +108,9 @@ def test_the_time_of_a_diagnosis_is_foretold_from_the_first_calls(rig: Path, mon
     declared = load_simulator("my_foot:SIMULATOR")
     runs, _ = read_runs(rig, declared)
     slow_clock(monkeypatch, 2.0)
-    said = foretell_duration(declared, runs)
+    message = foretell_duration(declared, runs)
     # Four parameters, two runs of 1 s each: 30 and 350 rounds of calls a parameter.
-    assert said.startswith("one call takes 1 s: about 4 minutes where nothing is missing, up to 47 where structure")
+    assert message.startswith("one call takes 1 s: about 4 minutes where nothing is missing, up to 47 where structure")
     assert "about 2 minutes" in foretell_duration(declared, runs, processes=2)
     slow_clock(monkeypatch, 0.01)
     assert foretell_duration(declared, runs) == ""
@@ -137,7 +137,7 @@ def plain() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"chanels": ()}, "chanels missing or unknown"),
         ({"base": {"soft": (0.0, 1.0)}}, r"soft is \(0.0, 1.0\); \(low, high, usual\)"),
@@ -145,8 +145,8 @@ def plain() -> dict[str, Any]:
         ({"base": {"soft": (5.0, 1.0, 2.0)}}, "the smaller first"),
     ],
 )
-def test_a_dictionary_that_says_something_else_is_refused_in_one_line(change: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_dictionary_that_says_something_else_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         simulator_of({**plain(), **change}, "foot")
 
 

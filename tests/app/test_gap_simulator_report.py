@@ -63,8 +63,8 @@ def test_the_page_shows_measured_simulator_and_explained_simulator(rig: str) -> 
     assert page.count("<polyline") == 2 * (3 + 2)
     gap = report["gap"]["place_mm"]
     assert all(f"{gap[key]:.3g} mm (" in page for key in ("rmse_before", "rmse_after", "noise_floor"))
-    words = re.sub(r"<(style|script).*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)
-    assert "twin" not in words and "stiffens" in words and "zero" in words
+    visible_text = re.sub(r"<(style|script).*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)
+    assert "twin" not in visible_text and "stiffens" in visible_text and "zero" in visible_text
 
 
 def test_apply_writes_parameters_that_the_simulator_reads_back(rig: str) -> None:
@@ -72,11 +72,11 @@ def test_apply_writes_parameters_that_the_simulator_reads_back(rig: str) -> None
     assert main(["gap", "apply", "--report", "r.json", "--out", "a.json"]) == 0
     assert main(["gap", "apply", "rig", "--simulator", rig, "--out", "b.json"]) == 0
     simulator = load_simulator(rig)
-    found = read_parameters("a.json", simulator)
-    assert found == read_parameters("b.json", simulator)
-    assert found["stiffens.a"] == pytest.approx(-0.05, abs=2e-3) and found["worn.a"] == 0.0
+    parameters = read_parameters("a.json", simulator)
+    assert parameters == read_parameters("b.json", simulator)
+    assert parameters["stiffens.a"] == pytest.approx(-0.05, abs=2e-3) and parameters["worn.a"] == 0.0
     measured = np.loadtxt("rig/runs/2/recording.csv", delimiter=",", skiprows=1)
-    predicted = simulator({"t_s": measured[:, 0], "load_N": measured[:, 1]}, found)["place_mm"]
+    predicted = simulator({"t_s": measured[:, 0], "load_N": measured[:, 1]}, parameters)["place_mm"]
     # What a run may have of its own is no parameter.
     assert np.std(measured[:, 2] - predicted) == pytest.approx(0.01, rel=0.1)
 
@@ -94,48 +94,50 @@ def test_empirical_terms_are_written_beside_parameters_and_read_back(rig: str) -
     assert main(["gap", "apply", "--report", "r.json", "--out", "bare.json"]) == 0
     assert main(["gap", "apply", "--report", "r.json", "--empirical", "--out", "terms.json"]) == 0
     measured = np.loadtxt("rig/runs/2/recording.csv", delimiter=",", skiprows=1)
-    left = {}
+    residuals = {}
     for name in ("bare", "terms"):
         simulator = with_written_terms(f"{name}.json", load_simulator(rig))
         inputs = {"t_s": measured[:, 0], "load_N": measured[:, 1]}
-        left[name] = np.std(measured[:, 2] - simulator(inputs, read_parameters(f"{name}.json", simulator))["place_mm"])
-    assert left["terms"] == pytest.approx(0.01, rel=0.1) and left["bare"] > 3 * left["terms"]
+        residuals[name] = np.std(
+            measured[:, 2] - simulator(inputs, read_parameters(f"{name}.json", simulator))["place_mm"]
+        )
+    assert residuals["terms"] == pytest.approx(0.01, rel=0.1) and residuals["bare"] > 3 * residuals["terms"]
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ({"verdict": "data", "simulator": "a foot"}, "mistake"),
         ({"verdict": "explained", "simulator": "a foot"}, "holds no parameters"),
         ({"verdict": "explained", "simulator": "a foot", "parameters": {"zero": "high"}}, "holds no parameters"),
     ],
 )
-def test_a_report_without_parameters_is_refused(content, told: str, tmp_path: Path, capsys) -> None:
+def test_a_report_without_parameters_is_refused(content, message: str, tmp_path: Path, capsys) -> None:
     (tmp_path / "r.json").write_text(json.dumps(content))
     assert main(["gap", "apply", "--report", str(tmp_path / "r.json"), "--out", str(tmp_path / "o.json")]) == 2
-    assert told in capsys.readouterr().err and not (tmp_path / "o.json").exists()
+    assert message in capsys.readouterr().err and not (tmp_path / "o.json").exists()
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ({}, "holds no parameters"),
         ({"schema": "softcal.simulator/1", "simulator": "an arm", "parameters": {}}, "an arm"),
         ({"schema": "softcal.simulator/1", "simulator": "a foot", "parameters": {"zero": 1.0}}, "softness"),
     ],
 )
-def test_parameters_of_another_simulator_are_refused(rig: str, content, told: str) -> None:
+def test_parameters_of_another_simulator_are_refused(rig: str, content, message: str) -> None:
     Path("p.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         read_parameters("p.json", load_simulator(rig))
 
 
-def test_check_says_what_the_runs_tell_and_searches_nothing(rig: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_says_what_the_runs_identify_and_searches_nothing(rig: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gap", "check", "rig", "--simulator", rig, "--json", "c.json"]) == 0
-    told = capsys.readouterr()
-    assert "told        2 of 2 base parameters" in told.out and "jointly" not in told.err
-    found = json.loads(Path("c.json").read_text())
-    assert found["data"] == [] and found["identifiability"]["causes"]["stiffens"]["is_told"]
+    printed = capsys.readouterr()
+    assert "told        2 of 2 base parameters" in printed.out and "jointly" not in printed.err
+    content = json.loads(Path("c.json").read_text())
+    assert content["data"] == [] and content["identifiability"]["causes"]["stiffens"]["is_told"]
 
 
 def test_a_mistake_stops_the_command_with_its_repair(rig: str, capsys: pytest.CaptureFixture[str]) -> None:

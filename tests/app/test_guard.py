@@ -21,7 +21,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, serve: Callable) -> Iterat
         yield "127.0.0.1", screen.port
 
 
-def asked(address: tuple[str, int], path: str, host: str) -> tuple[int, dict[str, str]]:
+def status_of_request(address: tuple[str, int], path: str, host: str) -> tuple[int, dict[str, str]]:
     connection = http.client.HTTPConnection(*address, timeout=30)
     connection.request("GET", path, headers={"Host": host})
     answer = connection.getresponse()
@@ -44,9 +44,9 @@ def handshake(address: tuple[str, int], host: str, origin: str | None = None) ->
 
 @pytest.mark.parametrize("path", ["/", "/_stcore/health", "/line"])
 def test_a_foreign_name_is_refused_and_an_own_one_is_not(address, path):
-    assert asked(address, path, f"evil.example:{address[1]}")[0] == 421
-    for own in ("127.0.0.1", f"localhost:{address[1]}", "line.plant.example"):
-        assert asked(address, path, own)[0] == 200
+    assert status_of_request(address, path, f"evil.example:{address[1]}")[0] == 421
+    for name in ("127.0.0.1", f"localhost:{address[1]}", "line.plant.example"):
+        assert status_of_request(address, path, name)[0] == 200
 
 
 def test_a_web_socket_under_a_foreign_name_is_refused(address):
@@ -60,8 +60,8 @@ def test_a_web_socket_of_another_page_is_refused_be_it_of_this_machine(address, 
 
 
 def test_metrics_are_closed_and_no_page_may_be_framed_or_fetch_elsewhere(address):
-    assert asked(address, "/_stcore/metrics", "127.0.0.1")[0] == 404
-    _, headers = asked(address, "/", "127.0.0.1")
+    assert status_of_request(address, "/_stcore/metrics", "127.0.0.1")[0] == 404
+    _, headers = status_of_request(address, "/", "127.0.0.1")
     assert headers["x-frame-options"] == "DENY" and headers["x-content-type-options"] == "nosniff"
     policy = dict(part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";"))
     assert policy["frame-ancestors"] == "'none'" and policy["object-src"] == "'none'"
@@ -70,11 +70,11 @@ def test_metrics_are_closed_and_no_page_may_be_framed_or_fetch_elsewhere(address
 
 
 def test_own_names_are_names_and_no_parts_of_names():
-    own = server_names(["line.example"])
+    names = server_names(["line.example"])
     for host in ("[::1]:8501", "192.168.0.7", "LOCALHOST.", "line.example:80"):
-        assert is_server_name(host, own) is True, host
+        assert is_server_name(host, names) is True, host
     for host in ("x.line.example", "127.0.0.1.evil.example", "localhost:1@evil.example", ""):
-        assert is_server_name(host, own) is False, host
+        assert is_server_name(host, names) is False, host
 
 
 def test_the_policy_lets_every_page_of_softcal_be_drawn(address, page: Page):

@@ -86,7 +86,7 @@ def _without_time(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (_broken_excel, "S1.xlsx"),
         (_with_text, "line 42, column 'volts': 'abc'"),
@@ -99,12 +99,12 @@ def _without_time(folder: Path) -> Path:
     ],
 )
 def test_what_cannot_be_used_is_named_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], make, says: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make, message: str
 ) -> None:
     assert _import(make(tmp_path), out=tmp_path / "lot") == 2
-    said = capsys.readouterr().err.strip()
-    assert says in said
-    assert len(said.splitlines()) == 1
+    stderr = capsys.readouterr().err.strip()
+    assert message in stderr
+    assert len(stderr.splitlines()) == 1
     assert not (tmp_path / "lot").exists()
 
 
@@ -175,8 +175,8 @@ def test_the_layout_of_a_logger_s_file_is_reported_in_one_line(
     printed = capsys.readouterr()
     layout = "semicolons; decimal comma; header in line 2; units in line 3"
     assert f"S1.csv and 1 more: {layout}" in printed.err
-    facts = json.loads(printed.out)
-    assert facts["layouts"] == {"S1.csv": layout, "S2.csv": layout} and facts["audits"] == ["S2"]
+    content = json.loads(printed.out)
+    assert content["layouts"] == {"S1.csv": layout, "S2.csv": layout} and content["audits"] == ["S2"]
     folder = open_lot_folder(tmp_path / "lot")
     assert folder.lot.sample_rate_Hz == 50
     np.testing.assert_allclose(folder.read_unit("S2").output, 0.5 + 0.1 * np.sin(np.arange(60) / 50), atol=1e-6)
@@ -208,8 +208,8 @@ def test_missing_cells_stay_missing_in_the_lot_folder(tmp_path: Path) -> None:
     volts = 0.5 + 0.1 * np.sin(np.arange(60) / 50)
     volts[20] = np.nan
     assert _import(_table(tmp_path), _table(tmp_path, "S2", volts=volts), out=tmp_path / "lot") == 0
-    written = pd.read_csv(tmp_path / "lot" / "units" / "S2.csv")
-    assert len(written) == 60 and np.flatnonzero(written["output"].isna()).tolist() == [20]
+    table = pd.read_csv(tmp_path / "lot" / "units" / "S2.csv")
+    assert len(table) == 60 and np.flatnonzero(table["output"].isna()).tolist() == [20]
     unit = open_lot_folder(tmp_path / "lot").read_unit("S2")
     assert len(unit) == 59 and len(unit.segments) == 2
 
@@ -265,15 +265,15 @@ def test_an_option_reads_what_is_asked_about(tmp_path: Path, capsys: pytest.Capt
     assert open_lot_folder(tmp_path / "lot").lot.sample_rate_Hz == 50
 
 
-@pytest.mark.parametrize(("stated", "limit"), [("0.4", 0.4), ("5%", 0.1), ("", None)])
-def test_a_limit_is_stated_in_the_unit_or_as_a_share_of_the_range_or_its_absence_is_said(
-    stated: str, limit: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("limit_option", "limit"), [("0.4", 0.4), ("5%", 0.1), ("", None)])
+def test_a_limit_is_stated_in_the_unit_or_as_a_share_of_the_range_or_its_absence_is_reported(
+    limit_option: str, limit: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = 400  # sin(t) over 8 s: the reference runs from 0 to 2
     files = [_table(tmp_path, name, rows) for name in ("S1", "S2")]
-    assert _import(*files, out=tmp_path / "lot", extra=("--limit", stated) if stated else ()) == 0
-    found = open_lot_folder(tmp_path / "lot").lot.limit_rmse
-    assert found == (None if limit is None else pytest.approx(limit, rel=1e-3))
+    assert _import(*files, out=tmp_path / "lot", extra=("--limit", limit_option) if limit_option else ()) == 0
+    stored_limit = open_lot_folder(tmp_path / "lot").lot.limit_rmse
+    assert stored_limit == (None if limit is None else pytest.approx(limit, rel=1e-3))
     assert ("no unit can pass" in capsys.readouterr().err) == (limit is None)
 
 
@@ -288,8 +288,8 @@ def test_on_a_terminal_a_tenth_of_the_range_is_proposed_and_has_to_be_confirmed(
         out = tmp_path / f"lot-{answer[:1]}"
         assert _import(*files, out=out) == 0
         assert "proposed: 0.2 N, 10% of the range" in capsys.readouterr().err
-        found = open_lot_folder(out).lot.limit_rmse
-        assert found == (None if limit is None else pytest.approx(limit, rel=1e-3))
+        stored_limit = open_lot_folder(out).lot.limit_rmse
+        assert stored_limit == (None if limit is None else pytest.approx(limit, rel=1e-3))
 
 
 def test_a_source_that_trains_nothing_is_imported_with_a_note_and_its_limit(

@@ -13,7 +13,7 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.line import rig
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import plain, reason
-from softcal.station.bench.catalogue import SECTIONS, offers
+from softcal.station.bench.catalogue import SECTIONS, list_drivers
 from softcal.station.bench.station_file import read_station_file, station_from_table, station_toml
 from softcal.station.tasks.identify import DeviceIdentity
 
@@ -62,12 +62,12 @@ def test_a_limit_is_asked_for_and_a_proposal_has_to_be_confirmed(
 ) -> None:
     _answers(monkeypatch, "", "S1", "", "", "", "", "", *answers)
     assert main(["init", "lot", str(tmp_path / "lot")]) == 0
-    stated = tomllib.loads((tmp_path / "lot/lot.toml").read_text()).get("limit", {}).get("rmse")
-    assert stated == (None if limit is None else pytest.approx(limit))
+    stored_limit = tomllib.loads((tmp_path / "lot/lot.toml").read_text()).get("limit", {}).get("rmse")
+    assert stored_limit == (None if limit is None else pytest.approx(limit))
     assert ("no unit can pass" in capsys.readouterr().err) == (limit is None)
 
 
-def test_without_anybody_to_ask_no_limit_is_stated_and_that_is_said(
+def test_without_anybody_to_ask_no_limit_is_stated_and_that_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _answers(monkeypatch)
@@ -105,9 +105,13 @@ def test_a_station_by_questions_can_be_read(
     _answers(monkeypatch, "line-2", *stage, *cell, *readout, "5", "", "", *[""] * 20)
     assert main(["init", "station", str(tmp_path / "station.toml")]) == 0
     assert "grbl2" in capsys.readouterr().err
-    made = read_station_file(tmp_path / "station.toml")
-    assert (made.name, made.stage.kind, made.stage.port) == ("line-2", "grbl", "/dev/ttyACM0")
-    assert made.force is not None and made.force.kind == "mark10"
+    station_config = read_station_file(tmp_path / "station.toml")
+    assert (station_config.name, station_config.stage.kind, station_config.stage.port) == (
+        "line-2",
+        "grbl",
+        "/dev/ttyACM0",
+    )
+    assert station_config.force is not None and station_config.force.kind == "mark10"
 
 
 def test_a_station_without_a_load_cell_asks_who_answers_for_it(
@@ -119,7 +123,7 @@ def test_a_station_without_a_load_cell_asks_who_answers_for_it(
     assert "without_cell" in capsys.readouterr().err and not (tmp_path / "station.toml").exists()
 
 
-DRIVERS = [offer for offer in offers() if offer.package == "softcal" and offer.driver is not None]
+DRIVERS = [offer for offer in list_drivers() if offer.package == "softcal" and offer.driver is not None]
 PORTS = {
     "serial": "/dev/tty{}",
     "tcp": "tcp://192.168.0.{}:5025",
@@ -139,15 +143,15 @@ def test_questions_end_in_a_whole_file_for_every_driver(offer, tmp_path, monkeyp
         lines += [kind, *(PORTS[driver.wires[0]].format(k) if key == "port" else "" for key in keys)]
     _answers(monkeypatch, *lines, *[""] * 3)
     assert main(["init", "station", str(tmp_path / "station.toml")]) == 0
-    written = tomllib.loads((tmp_path / "station.toml").read_text())
+    content = tomllib.loads((tmp_path / "station.toml").read_text())
     assert read_station_file(tmp_path / "station.toml").force is not None
     for role, kind in kinds.items():
         driver = next(each.driver for each in DRIVERS if (each.role, each.kind) == (role, kind))
-        assert {**written[SECTIONS[role]], "port": None} == {**driver.keys, "kind": kind, "port": None}
+        assert {**content[SECTIONS[role]], "port": None} == {**driver.keys, "kind": kind, "port": None}
 
 
 STREAM = DeviceIdentity("/dev/cell", "", "", reason("port.either", largest=8040, rate_Hz=80.0), 80.0, 1)
-FOUND = [
+DEVICES = [
     DeviceIdentity("/dev/stage", "stage", "grbl", plain("Grbl 1.1h")),
     DeviceIdentity("/dev/board", "readout", "arduino", plain("softcal readout 1"), 50.0, 1),
     STREAM,
@@ -158,7 +162,7 @@ FOUND = [
 def test_a_cell_at_rest_near_8000_counts_is_asked_for_or_marked_in_a_whole_file(
     answers, tmp_path, monkeypatch, capsys
 ) -> None:
-    monkeypatch.setattr(rig, "find_devices", lambda ports: FOUND)
+    monkeypatch.setattr(rig, "find_devices", lambda ports: DEVICES)
     monkeypatch.setattr(rig, "open_bench", _no_bench)
     _answers(monkeypatch, *answers)
     file = tmp_path / "station.toml"
@@ -192,19 +196,19 @@ def _check(file):
 def test_the_keys_of_a_driver_are_shown_with_type_default_and_unit(capsys) -> None:
     assert main(["station", "drivers", "--kind", "hx711"]) == 0
     rows = ["".join(line.split()) for line in "".join(capsys.readouterr()).splitlines()]
-    for words in (
+    for texts in (
         ("counts_per_N", "number", "10000.0", "1/N"),
         ("port", "text", "needed"),
         ("capacity_N", "20.0", "N"),
     ):
-        assert any(all(word in row for word in words) for row in rows), words
+        assert any(all(word in row for word in texts) for row in rows), texts
 
 
 def test_the_complete_station_file_of_the_docs_is_whole() -> None:
     text = (Path(__file__).parents[2] / "docs" / "station.md").read_text(encoding="utf-8")
     (block,) = [part.partition("```")[0] for part in text.split("```toml\n")[1:] if "[fixture]" in part]
-    found = tomllib.loads(block)
-    config = station_from_table(found)
-    assert tomllib.loads(station_toml(config)) == found  # No key is missing.
+    content = tomllib.loads(block)
+    config = station_from_table(content)
+    assert tomllib.loads(station_toml(config)) == content  # No key is missing.
     lines = [line for line in block.splitlines() if " = " in line and not line.startswith("name")]
     assert all("#" in line for line in lines)

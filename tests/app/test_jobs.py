@@ -22,7 +22,7 @@ ENGLISH = partial(text, "en")
 METADATA = {"vref_V": 5.0, "adc_bits": 16, "r_series_ohm": 1000.0, "sample_rate_Hz": 50.0, "serial": "A17"}
 
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 
 
 def run_csv(samples: int = 400) -> bytes:
@@ -49,17 +49,17 @@ def test_a_job_runs_in_a_process_of_its_own_and_its_result_is_registered(
 
 def test_a_job_that_cannot_be_done_ends_with_one_line(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
-        for kind, request, said in (
+        for kind, request, message in (
             ("train", {"lot": "nowhere", "hidden": [4], "seed": 0, "members": 1, "max_epochs": 5}, "'nowhere'"),
             ("diagnose", {"case": "/nowhere"}, "/nowhere"),
             ("bake", {}, "bake"),
         ):
             job_id = registry.job_board.place(kind, request, "Erin")
             assert run_job(registry, job_id, lambda: None) is RunState.ERROR
-            assert said in to_line(unpack_reasons(registry.job_board.job(job_id).message))
+            assert message in to_line(unpack_reasons(registry.job_board.job(job_id).message))
 
 
-def test_a_defect_in_a_job_is_logged_and_said(calibrated: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_defect_in_a_job_is_logged_and_reported(calibrated: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("oops")
 
@@ -71,18 +71,18 @@ def test_a_defect_in_a_job_is_logged_and_said(calibrated: str, monkeypatch: pyte
 
 
 def test_a_job_somebody_wants_stopped_ends_cancelled(calibrated: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+    messages: list[str] = []
 
-    def endless(registry, job, tell):
+    def endless(registry, job, report):
         registry.job_board.cancel(job.job_id)
-        wait_until(lambda: told)
+        wait_until(lambda: messages)
         raise InputError("the process would be gone by now")
 
     monkeypatch.setattr("softcal.app.jobs.jobs.check", endless)
     monkeypatch.setattr("softcal.app.jobs.jobs.HEARTBEAT_S", 0.05)
     with open_registry(calibrated) as registry:
         job_id = registry.job_board.place("station_check", {}, "Erin")
-        assert run_job(registry, job_id, lambda: told.append("gone")) is RunState.CANCELLED
+        assert run_job(registry, job_id, lambda: messages.append("gone")) is RunState.CANCELLED
 
 
 def test_an_upload_becomes_a_case_of_numbered_runs() -> None:
@@ -166,7 +166,7 @@ def test_the_live_curve_has_units_on_its_axes() -> None:
     assert spec["series"][1]["data"] == [(1, 0.4), (2, 0.3)]
 
 
-def test_a_lost_job_is_told_from_a_slow_one(calibrated: str) -> None:
+def test_a_lost_job_is_distinguished_from_a_slow_one(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
         job = registry.job_board.job(registry.job_board.place("train", {}, "Erin"))
     assert not job.is_lost(datetime.now(UTC))

@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 from playwright.sync_api import Page
 
-from tests.app.line_screen import LOT, Line, press, scan, shown, verdict_of
+from tests.app.line_screen import LOT, Line, press, scan, verdict_of, wait_for_card
 
 
-def test_a_unit_is_scanned_pressed_judged_and_looked_at(
+def test_a_unit_is_scanned_pressed_decided_and_looked_at(
     line: Line, panel: Page, add_everybody: Callable[[str], None], sign_in: Callable[[str, str], None]
 ) -> None:
     scan(panel, "A1")
-    shown(panel, "armed", serial="A1")
+    wait_for_card(panel, "armed", serial="A1")
     press(panel, "F2", "running", serial="A1")
     verdict = verdict_of(panel, "A1")
     assert line.verdict("A1") == verdict

@@ -14,10 +14,10 @@ from softcal.core.quality.known_loads import KnownLoad
 from softcal.core.quality.line_rules import LineRules
 from softcal.db.connection import open_registry
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 
 
-say = partial(text, "en")
+translate = partial(text, "en")
 
 
 def table_of(folder: Path) -> bytes:
@@ -33,7 +33,7 @@ def table_of(folder: Path) -> bytes:
 @pytest.mark.long
 def test_loads_are_looked_at_taken_and_used(calibrated, lot_folder, show, jobs_at_once):
     screen = show(calibrated, "lot", tab="known_loads", lot="small")
-    assert not screen.exception and say("known_loads.none") in [one.value for one in screen.caption]
+    assert not screen.exception and translate("known_loads.none") in [one.value for one in screen.caption]
     screen.file_uploader[0].set_value([("loads.csv", table_of(lot_folder), "text/csv")]).run()
     assert not screen.exception and not screen.error, [one.value for one in screen.error]
     why = {row.iloc[0]: row.iloc[-1] for _, row in screen.table[-1].value.iterrows()}
@@ -43,13 +43,16 @@ def test_loads_are_looked_at_taken_and_used(calibrated, lot_folder, show, jobs_a
     next(one for one in screen.button if one.key == "known-loads-take").click().run(timeout=300)
     assert not screen.exception and not screen.error, [one.value for one in screen.error]
     with open_registry(calibrated) as registry:
-        made = registry.calibrations.get("A1", lot_id="small")
-        (kept,) = known_loads(registry, "small").values()
-        assert made.state.correspondence.is_anchored and made.state.fit.recording_sha256 == kept.recording_sha256
-        assert (kept.serial, kept.actor, kept.where) == ("A1", "Erin", "page")
+        calibration = registry.calibrations.get("A1", lot_id="small")
+        (loads,) = known_loads(registry, "small").values()
+        assert (
+            calibration.state.correspondence.is_anchored
+            and calibration.state.fit.recording_sha256 == loads.recording_sha256
+        )
+        assert (loads.serial, loads.actor, loads.where) == ("A1", "Erin", "page")
         assert not registry.calibrations.get("A2", lot_id="small").state.correspondence.is_anchored
-    shown = show(calibrated, "lot", tab="known_loads", lot="small").table[0].value
-    assert list(shown.iloc[0])[:2] == ["[A1](unit?unit=small%2FA1)", "0, 2"]
+    table = show(calibrated, "lot", tab="known_loads", lot="small").table[0].value
+    assert list(table.iloc[0])[:2] == ["[A1](unit?unit=small%2FA1)", "0, 2"]
 
 
 def test_who_may_only_audit_sees_them_and_brings_none(calibrated, show):
@@ -67,7 +70,7 @@ def test_the_rules_take_loads_that_a_calibration_can_use(calibrated, show, load,
     for key, value in (("rules-load-1", 0.0), ("rules-load-2", load), ("rules-load-u-2", expanded)):
         screen.number_input(key=f"{key}-small-0").set_value(value)
     screen.text_input(key="reason-text-rules-small-0").set_value("two weights")
-    button = next(one for one in screen.button if one.label == say("rules.set"))
+    button = next(one for one in screen.button if one.label == translate("rules.set"))
     button.click().run()
     assert not screen.exception
     with open_registry(calibrated) as registry:
@@ -85,5 +88,5 @@ def test_rules_with_loads_that_make_no_sense_are_refused(loads):
 @pytest.mark.parametrize("loads", [(), (KnownLoad(0.0), KnownLoad(2.0, 0.002))])
 def test_rules_are_read_back_as_they_were_kept(loads: tuple[KnownLoad, ...]) -> None:
     rules = LineRules(loads=loads)
-    kept = json.loads(json.dumps(rules.settings()))
-    assert LineRules(**kept) == rules
+    settings = json.loads(json.dumps(rules.settings()))
+    assert LineRules(**settings) == rules

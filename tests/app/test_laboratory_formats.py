@@ -82,14 +82,14 @@ FORMATS = (".parquet", ".pq", ".feather", ".arrow", ".mat", ".h5", ".hdf5", ".td
 
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_every_format_gives_the_same_columns(suffix, tmp_path):
-    got = cells(write_any(tmp_path / f"S1{suffix}"))
-    assert set(got) == {"t_s", "force_N", "output"}
+    table = cells(write_any(tmp_path / f"S1{suffix}"))
+    assert set(table) == {"t_s", "force_N", "output"}
     for name, values in {"t_s": T_S, "force_N": FORCE, "output": OUTPUT}.items():
-        np.testing.assert_array_equal(got[name], values)
+        np.testing.assert_array_equal(table[name], values)
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_only_requested_columns_are_returned_and_all_names_are_told(suffix, tmp_path):
+def test_only_requested_columns_are_returned_and_all_names_are_reported(suffix, tmp_path):
     path = write_any(tmp_path / f"S1{suffix}")
     table = read_table(path, is_requested=lambda name: name in ("t_s", "output"))
     assert {column.name for column in table.columns} == {"t_s", "output"} and len(table.lines) == ROWS
@@ -159,15 +159,15 @@ def test_an_index_of_stamps_that_pandas_wrote_is_a_column(suffix, tmp_path):
         frame.to_parquet(path)
     else:
         pyarrow.feather.write_feather(pa.Table.from_pandas(frame), path)
-    got = cells(path)
+    table = cells(path)
     # Berlin leaves winter time between the second and the third stamp: 02:00 is 03:00, in UTC nothing jumps.
-    assert [str(stamp)[:21] for stamp in got["index"]] == [
+    assert [str(stamp)[:21] for stamp in table["index"]] == [
         "2024-03-31T00:59:59.0",
         "2024-03-31T00:59:59.5",
         "2024-03-31T01:00:00.0",
         "2024-03-31T01:00:00.5",
     ]
-    np.testing.assert_array_equal(got["output"], [0.1, np.nan, 0.3, 0.4])
+    np.testing.assert_array_equal(table["output"], [0.1, np.nan, 0.3, 0.4])
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".feather"])
@@ -186,12 +186,12 @@ def test_whole_numbers_decimals_texts_and_truth_values_stay_what_they_are(suffix
     path = tmp_path / f"a{suffix}"
     write = pyarrow.parquet.write_table if suffix == ".parquet" else pyarrow.feather.write_feather
     write(table, path)
-    got = cells(path)
-    np.testing.assert_array_equal(got["count"], [1, np.nan, 3])
-    np.testing.assert_array_equal(got["mass"], [1, 2, np.nan])
-    assert got["note"].tolist() == ["a", None, "b"] and got["label"].tolist() == ["x", "x", None]
-    assert got["is_on"].tolist() == [True, False, None]
-    assert (got["span"] / np.timedelta64(1, "ms")).tolist() == [0, 20, 40]
+    cells_read = cells(path)
+    np.testing.assert_array_equal(cells_read["count"], [1, np.nan, 3])
+    np.testing.assert_array_equal(cells_read["mass"], [1, 2, np.nan])
+    assert cells_read["note"].tolist() == ["a", None, "b"] and cells_read["label"].tolist() == ["x", "x", None]
+    assert cells_read["is_on"].tolist() == [True, False, None]
+    assert (cells_read["span"] / np.timedelta64(1, "ms")).tolist() == [0, 20, 40]
     assert units(path)["count"] == "LSB"
 
 
@@ -242,18 +242,18 @@ def test_unix_stamps_in_ns_are_read_and_counts_that_floats_cannot_tell_apart_are
 
 # MATLAB
 
-MATLAB_MADE = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
+MATLAB_FILES = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
 
 
 @pytest.mark.parametrize("release", ["4.2c_SOL2", "6.1_SOL2", "6.5.1_GLNX86", "7.1_GLNX86", "7.4_GLNX86"])
 def test_a_vector_that_matlab_itself_saved(release):
     # SciPy's documented content of these files: 0 to 2 pi in steps of pi/4.
-    path = MATLAB_MADE / f"testdouble_{release}.mat"
+    path = MATLAB_FILES / f"testdouble_{release}.mat"
     np.testing.assert_allclose(cells(path)["testdouble"], np.arange(9) * np.pi / 4)
 
 
 def test_a_hdf5_file_that_matlab_itself_saved():
-    path = MATLAB_MADE / "testhdf5_7.4_GLNX86.mat"
+    path = MATLAB_FILES / "testhdf5_7.4_GLNX86.mat"
     np.testing.assert_allclose(cells(path)["testdouble"], np.arange(9) * np.pi / 4)
 
 
@@ -263,9 +263,9 @@ def test_vectors_structs_and_matrices_of_matlab(version, tmp_path):
     content = {"t": T_S, "F": FORCE, "fs": 50.0, "who": "Kim", "run": {"t": T_S, "out": OUTPUT}, "m": np.c_[T_S, FORCE]}
     write = scipy.io.savemat if version == "5" else written.write_mat73
     write(path, content)
-    got = cells(path, sheet="workspace")
-    assert set(got) == {"t", "F"}
-    np.testing.assert_array_equal(got["F"], FORCE)
+    table = cells(path, sheet="workspace")
+    assert set(table) == {"t", "F"}
+    np.testing.assert_array_equal(table["F"], FORCE)
     np.testing.assert_array_equal(cells(path, sheet="run")["out"], OUTPUT)
     np.testing.assert_array_equal(cells(path, sheet="m")["m_2"], FORCE)
     # Only one variable has what is asked for
@@ -289,9 +289,9 @@ def test_a_structure_with_time_as_simulink_logs_it(tmp_path):
     signals = np.zeros(2, dtype=[("values", object), ("label", object)])
     signals[0], signals[1] = (FORCE[:, None], "force"), (OUTPUT[:, None], "output")
     scipy.io.savemat(tmp_path / "a.mat", {"logged": {"time": T_S[:, None], "signals": signals}})
-    got = cells(tmp_path / "a.mat")
-    np.testing.assert_array_equal(got["time"], T_S)
-    np.testing.assert_array_equal(got["output"], OUTPUT)
+    table = cells(tmp_path / "a.mat")
+    np.testing.assert_array_equal(table["time"], T_S)
+    np.testing.assert_array_equal(table["output"], OUTPUT)
 
 
 def test_an_array_of_structs_is_a_row_each(tmp_path):
@@ -378,8 +378,8 @@ def test_a_group_of_datasets_with_their_units(tmp_path):
 def test_a_compound_dataset_is_a_table(tmp_path):
     records = np.zeros(ROWS, [("t", "<f8"), ("count", "<i4"), ("note", "S4")])
     records["t"], records["count"], records["note"] = T_S, np.arange(ROWS), b"ok"
-    got = cells(write_hdf5(tmp_path / "a.h5", {"log": records}))
-    assert got["count"][-1] == ROWS - 1 and got["note"][0] == "ok"
+    table = cells(write_hdf5(tmp_path / "a.h5", {"log": records}))
+    assert table["count"][-1] == ROWS - 1 and table["note"][0] == "ok"
 
 
 def test_groups_that_hold_samples_are_asked_about(tmp_path):
@@ -393,9 +393,9 @@ def test_frames_that_pandas_wrote(tmp_path):
     columns = {"force": FORCE, "output": OUTPUT}
     start_ns, step_ns = 1_700_000_000_000_000_000, 20_000_000
     fixed = written.write_frame_fixed(tmp_path / "f.h5", "run", columns, start_ns + step_ns * np.arange(ROWS))
-    got = cells(fixed)
-    np.testing.assert_array_equal(got["output"], OUTPUT)
-    assert str(got["index"][1])[:22] == "2023-11-14T22:13:20.02"
+    table = cells(fixed)
+    np.testing.assert_array_equal(table["output"], OUTPUT)
+    assert str(table["index"][1])[:22] == "2023-11-14T22:13:20.02"
     np.testing.assert_array_equal(cells(written.write_frame_table(tmp_path / "t.h5", "run", columns))["force"], FORCE)
     with pytest.raises(InputError, match=r"pickle.*data_columns=True"):
         read_table(written.write_frame_table(tmp_path / "p.h5", "run", columns, has_names=False))
@@ -454,9 +454,9 @@ def test_a_channel_of_time_is_kept_beside_a_waveform(tmp_path):
 def test_stamps_of_labview_are_stamps(tmp_path):
     stamps = np.datetime64("2024-05-01T10:00:00", "us") + np.arange(ROWS) * np.timedelta64(20, "ms")
     path = write_tdms(tmp_path / "a.tdms", ("run", "Time", stamps), ("run", "force", FORCE), ("run", "s", ["x"] * ROWS))
-    got = cells(path)
-    assert got["Time"].dtype == "datetime64[ns]" and str(got["Time"][-1])[:23] == "2024-05-01T10:00:04.980"
-    assert got["s"][0] == "x"
+    table = cells(path)
+    assert table["Time"].dtype == "datetime64[ns]" and str(table["Time"][-1])[:23] == "2024-05-01T10:00:04.980"
+    assert table["s"][0] == "x"
 
 
 def test_channels_of_two_rates_are_not_put_side_by_side(tmp_path):

@@ -55,9 +55,9 @@ def test_the_command_without_a_terminal_prints_and_changes_nothing(calibrated, c
     with open_registry(calibrated) as registry:
         before = contents(registry)
     assert limit(calibrated, "--rmse", str(STRICT_N), "--reason", "drawing") == 2
-    told = capsys.readouterr()
+    printed = capsys.readouterr()
     passed = sum(word == "pass" for word in before[0].values())  # type: ignore[attr-defined]
-    assert passed and f"withdraws {passed} released units" in told.out and "--yes" in told.err
+    assert passed and f"withdraws {passed} released units" in printed.out and "--yes" in printed.err
     with open_registry(calibrated) as registry:
         assert contents(registry) == before
     assert limit(calibrated, "--rmse", str(STRICT_N), "--reason", "drawing", "--yes") == 0
@@ -74,8 +74,8 @@ def test_at_a_terminal_it_asks(calibrated, capsys, monkeypatch, tmp_path, answer
     monkeypatch.setattr(terminal, "isatty", lambda: True)
     monkeypatch.setattr("sys.stdin", terminal)
     assert limit(calibrated, "--rmse", str(STRICT_N), "--reason", "drawing", "--json", str(file)) == code
-    said = json.loads(file.read_text())
-    assert said["is_done"] == (code == 0) and said["changes"]["withdrawn"] > 0
+    content = json.loads(file.read_text())
+    assert content["is_done"] == (code == 0) and content["changes"]["withdrawn"] > 0
     with open_registry(calibrated) as registry:
         assert ("pass" in verdicts(registry).values()) == (code != 0)
 
@@ -90,6 +90,6 @@ def test_the_page_says_how_many_units_its_button_withdraws(calibrated, show):
     label = text("en", "limits.set.withdrawing", what=what, count=passed)
     assert label in {button.label for button in screen.button}
     assert len(expected.withdrawn) == passed > 0
-    said = " ".join(one.value for one in screen.markdown)
-    assert f"{text('en', 'verdict.fail')} {expected.counts['fail']}" in said
-    assert "stay as they are" not in said + " ".join(one.value for one in screen.caption)
+    page_text = " ".join(one.value for one in screen.markdown)
+    assert f"{text('en', 'verdict.fail')} {expected.counts['fail']}" in page_text
+    assert "stay as they are" not in page_text + " ".join(one.value for one in screen.caption)

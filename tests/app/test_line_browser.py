@@ -10,13 +10,13 @@ from playwright.sync_api import Browser, Page, expect
 from softcal.app.line.line import START_S
 from softcal.app.ui.stop_key import PATH as STOP_PATH
 from softcal.core.orders import OrderKind
-from tests.app.line_screen import VERDICTS, Line, card, focus, opened, press, scan, shown, verdict_of
+from tests.app.line_screen import VERDICTS, Line, card, focus, opened, press, scan, verdict_of, wait_for_card
 
 pytestmark = pytest.mark.long
 
 
 @pytest.fixture
-def judged(line: Line) -> str:
+def decided_unit(line: Line) -> str:
     """A unit that has its verdict."""
     line.clear()
     # One that no other test presses: whatever ran before, it has this one result.
@@ -30,7 +30,7 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
 
     # The first: lower case as scanned, started by its key.
     scan(panel, "a1")
-    shown(panel, "armed", serial="A1")
+    wait_for_card(panel, "armed", serial="A1")
     press(panel, "F2", "running", serial="A1")
     panel.get_by_role("progressbar").wait_for()
     panel.locator("[data-testid=stEChartsChart] canvas, canvas").first.wait_for()
@@ -38,16 +38,16 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
 
     # The second: a symbology prefix, ended by Tab, started by a code; the page is reloaded in mid-run.
     scan(panel, "]C0A2", "Tab")
-    shown(panel, "armed", serial="A2")
+    wait_for_card(panel, "armed", serial="A2")
     scan(panel, "cmd:start")
-    shown(panel, "running", serial="A2")
+    wait_for_card(panel, "running", serial="A2")
     panel.reload()
-    shown(panel, "running", serial="A2")
+    wait_for_card(panel, "running", serial="A2")
     verdicts["A2"] = verdict_of(panel, "A2")
 
     # The third: a scanner that sends no end; the screen's server is killed in mid-run and started again.
     scan(panel, "A3", ending=None)
-    shown(panel, "armed", serial="A3")
+    wait_for_card(panel, "armed", serial="A3")
     press(panel, "F2", "running", serial="A3")
     line.screen.kill()
     line.screen.start()
@@ -55,37 +55,37 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
 
     # The fourth: a device is unplugged in mid-run. The station stops; it is read, mended, and the unit pressed again.
     scan(panel, "A4")
-    shown(panel, "armed", serial="A4")
+    wait_for_card(panel, "armed", serial="A4")
     line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
     press(panel, "F2", "running", "stopped", serial="A4")
-    shown(panel, "stopped")
+    wait_for_card(panel, "stopped")
     expect(card(panel, "stopped")).to_contain_text("Check its cable")
     expect(panel.locator(".sc-chip").first).to_contain_text("STOPPED")
     scan(panel, "A5")
     panel.get_by_text("Press F4 or scan OK first").first.wait_for()
     press(panel, "F4", "hand")
     scan(panel, "A4")
-    shown(panel, "armed", serial="A4")
+    wait_for_card(panel, "armed", serial="A4")
     press(panel, "F2", "running", serial="A4")
     verdicts["A4"] = verdict_of(panel, "A4")
 
     # The fifth and sixth: by touch, and stopped by hand first.
     scan(panel, "A5")
     panel.get_by_role("button", name="Start").click()
-    shown(panel, "running", serial="A5")
+    wait_for_card(panel, "running", serial="A5")
     scan(panel, "A6")
     panel.get_by_text("A6 was not taken").first.wait_for()
     verdicts["A5"] = verdict_of(panel, "A5")
     panel.get_by_text("A6 was scanned while A5 was pressed").first.wait_for()
     scan(panel, "A6")
-    shown(panel, "armed", serial="A6")
+    wait_for_card(panel, "armed", serial="A6")
     press(panel, "F2", "running", serial="A6")
     panel.locator("[data-testid=stEChartsChart] canvas").first.wait_for()  # It moves: now there is something to stop.
     press(panel, "F8", "stopped", serial="A6")
     scan(panel, "CMD:OK")
-    shown(panel, "hand")
+    wait_for_card(panel, "hand")
     scan(panel, "A6")
-    shown(panel, "armed", serial="A6")
+    wait_for_card(panel, "armed", serial="A6")
     press(panel, "F2", "running", serial="A6")
     verdicts["A6"] = verdict_of(panel, "A6")
 
@@ -94,35 +94,35 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
     expect(panel.locator(".sc-cells")).to_contain_text("6")
 
 
-def test_a_unit_scanned_twice_is_asked_for_and_the_old_result_stands_there(judged: str, panel: Page) -> None:
-    scan(panel, judged)
-    question = shown(panel, "ask")
+def test_a_unit_scanned_twice_is_asked_for_and_the_old_result_stands_there(decided_unit: str, panel: Page) -> None:
+    scan(panel, decided_unit)
+    question = wait_for_card(panel, "ask")
     expect(question).to_contain_text("has a result already")
     panel.keyboard.press("F6")
-    shown(panel, "hand")
+    wait_for_card(panel, "hand")
 
 
 def test_a_unit_that_waits_stands_there_after_a_reload_a_restart_and_at_another_screen(
-    line: Line, judged: str, panel: Page, chromium: Browser
+    line: Line, decided_unit: str, panel: Page, chromium: Browser
 ) -> None:
     scan(panel, "A7")
-    shown(panel, "armed", serial="A7")
+    wait_for_card(panel, "armed", serial="A7")
     panel.reload()
-    shown(panel, "armed", serial="A7")
+    wait_for_card(panel, "armed", serial="A7")
     line.screen.kill()
     line.screen.start()
-    shown(panel, "armed", serial="A7")
+    wait_for_card(panel, "armed", serial="A7")
     context = chromium.new_context()
     other = opened(context.new_page(), line.screen)
-    shown(other, "armed", serial="A7")
+    wait_for_card(other, "armed", serial="A7")
     scan(other, "A0")
-    shown(other, "hand")
-    shown(panel, "hand")
+    wait_for_card(other, "hand")
+    wait_for_card(panel, "hand")
     panel.bring_to_front()
     panel.locator("input:focus").wait_for(state="attached")  # It listens from here on.
     panel.keyboard.press("F2")
     panel.get_by_text("Scan the unit in your hand first").first.wait_for()
-    assert line.facts.active is None
+    assert line.status.active is None
     context.close()
 
 
@@ -130,20 +130,20 @@ def test_a_unit_that_waits_stands_there_after_a_reload_a_restart_and_at_another_
 def test_no_number_of_presses_that_acknowledge_a_stop_moves_the_stage(line: Line, panel: Page, apart_ms: int) -> None:
     line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
     line.press("A8")
-    shown(panel, "stopped")
+    wait_for_card(panel, "stopped")
     before = line.runs()
     for key in ("F4",) * 6:
         panel.keyboard.press(key)
         panel.wait_for_timeout(apart_ms)  # What is tried is the time between two presses.
-    shown(panel, "hand")
+    wait_for_card(panel, "hand")
     panel.reload()
-    shown(panel, "hand")
+    wait_for_card(panel, "hand")
     panel.locator("input:focus").wait_for(state="attached")  # It listens from here on.
     for key in ("F4", "F4", "F2", "F2"):
         panel.keyboard.press(key)
         panel.wait_for_timeout(apart_ms)
     panel.get_by_text("Scan the unit in your hand first").first.wait_for()
-    assert line.runs() == before and line.facts.active is None
+    assert line.runs() == before and line.status.active is None
 
 
 @pytest.mark.parametrize("way", ["key", "code"])
@@ -152,11 +152,11 @@ def test_a_server_that_stalls_for_longer_than_a_start_may_take_loses_no_acknowle
 ) -> None:
     line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
     line.press("A8")
-    shown(panel, "stopped")
+    wait_for_card(panel, "stopped")
     with line.screen.stalled():
         panel.keyboard.press("F4") if way == "key" else scan(panel, "CMD:OK")
         panel.wait_for_timeout(1500 * START_S)
-    shown(panel, "hand")
+    wait_for_card(panel, "hand")
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ def test_a_start_moves_nothing_after_a_stall_however_it_was_given(
     line.clear()
     panel = opened(page, strict)
     scan(panel, "A7")
-    shown(panel, "armed", serial="A7")
+    wait_for_card(panel, "armed", serial="A7")
     before = line.runs()
     refused = panel.get_by_role("alert").filter(has_text="Not taken")
     with strict.stalled():
@@ -181,10 +181,10 @@ def test_a_start_moves_nothing_after_a_stall_however_it_was_given(
         # The screen says so by itself, since nobody answers it.
         refused.wait_for()
     # The server, which hears of it only now, lets the unit go or still has it; the card may change its buttons.
-    shown(panel, "armed", "hand")
+    wait_for_card(panel, "armed", "hand")
     panel.wait_for_timeout(3000)  # Within it, whatever was on its way has come.
     expect(refused).to_be_visible()
-    assert line.runs() == before and line.facts.active is None
+    assert line.runs() == before and line.status.active is None
     press(panel, "F6", "hand", "ready", *VERDICTS)
 
 
@@ -195,7 +195,7 @@ def test_a_stop_takes_its_own_way_however_it_was_given(panel: Page, code: str) -
     panel.get_by_text("Nothing is running").first.wait_for()
 
 
-HELD_DOWN = """() => {
+HELD_KEY_SCRIPT = """() => {
   window.keys = { unheard: 0, all: 0 }
   window.held = setInterval(() => {
     // A key that is held down is heard and does nothing.
@@ -207,15 +207,15 @@ HELD_DOWN = """() => {
 
 
 def test_no_key_goes_unheard_while_the_screen_is_drawn_anew(line: Line, panel: Page) -> None:
-    panel.evaluate(HELD_DOWN)
+    panel.evaluate(HELD_KEY_SCRIPT)
     for _ in range(3):
         scan(panel, "A7")
-        shown(panel, "armed", serial="A7")
+        wait_for_card(panel, "armed", serial="A7")
         panel.keyboard.press("F6")
-        shown(panel, "hand", "ready", *VERDICTS)
+        wait_for_card(panel, "hand", "ready", *VERDICTS)
     line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
     line.press("A8")
-    shown(panel, "stopped")
+    wait_for_card(panel, "stopped")
     press(panel, "F4", "hand")
     keys = panel.evaluate("() => { clearInterval(window.held); return window.keys }")
     assert keys["all"] > 500
@@ -227,7 +227,7 @@ def test_a_key_pressed_again_and_again_presses_a_unit_once(line: Line, panel: Pa
     # A shape of its own each time: the lot would know one it has seen, and not ask.
     before, serial = line.runs(), {0: "B000", 100: "BB00", 400: "BBB0"}[apart_ms]
     scan(panel, serial)
-    shown(panel, "ask_new", serial=serial)
+    wait_for_card(panel, "ask_new", serial=serial)
     press(panel, "F4", "armed", serial=serial)
     for key in ("F2", "F2", "F4", "F2"):
         panel.keyboard.press(key)
@@ -240,33 +240,33 @@ def test_a_key_pressed_again_and_again_presses_a_unit_once(line: Line, panel: Pa
     assert line.runs() == before + 1
 
 
-def test_a_server_that_is_gone_is_said_and_a_scan_is_refused_not_lost(line: Line, panel: Page) -> None:
-    shown(panel, "hand", "ready", *VERDICTS)
+def test_a_server_that_is_gone_is_reported_and_a_scan_is_refused_not_lost(line: Line, panel: Page) -> None:
+    wait_for_card(panel, "hand", "ready", *VERDICTS)
     line.screen.kill()
-    gone = panel.locator("#softcal-gone")
-    gone.filter(has_text="no connection to its server").wait_for()
+    offline_notice = panel.locator("#softcal-gone")
+    offline_notice.filter(has_text="no connection to its server").wait_for()
     panel.keyboard.press("F2")
     scan(panel, "A8")
     panel.get_by_role("alert").filter(has_text="Not taken").filter(has_text="A8").wait_for()
     line.screen.start()
-    gone.wait_for(state="hidden")
-    assert line.facts.serial == "" and line.facts.active is None
+    offline_notice.wait_for(state="hidden")
+    assert line.status.serial == "" and line.status.active is None
 
 
-def test_a_station_that_is_gone_is_said(line: Line, panel: Page) -> None:
-    shown(panel, "hand", "ready", *VERDICTS)
+def test_a_station_that_is_gone_is_reported(line: Line, panel: Page) -> None:
+    wait_for_card(panel, "hand", "ready", *VERDICTS)
     line.station.kill()
     try:
-        shown(panel, "silent")
+        wait_for_card(panel, "silent")
     finally:
         line.station.start()
-    shown(panel, "hand", "ready", *VERDICTS)
+    wait_for_card(panel, "hand", "ready", *VERDICTS)
 
 
 def test_what_a_screen_reader_says_is_what_stands_there(panel: Page) -> None:
     live = panel.get_by_role("status").and_(panel.locator("[aria-live=assertive]"))
     scan(panel, "A7")
-    shown(panel, "armed", serial="A7")
+    wait_for_card(panel, "armed", serial="A7")
     expect(live).to_have_text(re.compile(r"READY\. A7\. Put the unit into the fixture"))
     scan(panel, "A0")
     expect(live).to_contain_text("source unit")
@@ -284,7 +284,7 @@ def test_everything_is_reached_by_keyboard_and_focus_is_seen(panel: Page) -> Non
     assert outline != "nonenone"
     # A scan that comes while a button has the focus goes into the field all the same.
     scan(panel, "A8")
-    shown(panel, "armed", serial="A8")
+    wait_for_card(panel, "armed", serial="A8")
     panel.keyboard.press("F6")
     card(panel, "armed").wait_for(state="detached")
 
@@ -310,11 +310,11 @@ def test_a_small_panel_and_a_zoomed_one_show_it_all(
     opened(page, line.screen)
     line.clear()
     scan(page, "A" + "7" * 60)
-    shown(page, "ask_new")
+    wait_for_card(page, "ask_new")
     press(page, "F4", "armed")
-    found = page.evaluate(FIT)
-    assert (found["wide"], found["cut"]) == (False, [])
-    assert found["bottom"] <= size["height"]
+    fit = page.evaluate(FIT)
+    assert (fit["wide"], fit["cut"]) == (False, [])
+    assert fit["bottom"] <= size["height"]
     page.keyboard.press("F6")
     context.close()
 
@@ -348,7 +348,9 @@ CONTRAST = """() => {
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_every_word_stands_out_from_its_ground(line: Line, judged: str, chromium: Browser, theme: Any) -> None:
+def test_every_word_stands_out_from_its_background(
+    line: Line, decided_unit: str, chromium: Browser, theme: Any
+) -> None:
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, color_scheme=theme)
     page = context.new_page()
     opened(page, line.screen)
@@ -356,7 +358,7 @@ def test_every_word_stands_out_from_its_ground(line: Line, judged: str, chromium
     scan(page, "LOT:nowhere")
     page.get_by_text("is not in the registry").first.wait_for()
     assert page.evaluate(CONTRAST) == []
-    scan(page, judged)
+    scan(page, decided_unit)
     page.get_by_role("button", name="Yes, again").wait_for()
     assert page.evaluate(CONTRAST) == []
     page.keyboard.press("F6")

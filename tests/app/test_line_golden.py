@@ -50,7 +50,7 @@ def run_store(registry: Registry) -> RunStore:
     return RunStore(registry, "s1", NetworkConfig(hidden=(16, 8)))
 
 
-def pressed(press_unit, serial, gain=1.0, offset_V=0.5, seed=70, is_golden=False):
+def press_run(press_unit, serial, gain=1.0, offset_V=0.5, seed=70, is_golden=False):
     """A run on another day, by a programme that the source never had; golden unit and units share it."""
     table = press_unit(1500, gain, offset_V, seed)
     output = offset_V + DAY_GAIN * (table["output"].to_numpy() - offset_V) + DAY_ZERO_V
@@ -64,15 +64,15 @@ def pressed(press_unit, serial, gain=1.0, offset_V=0.5, seed=70, is_golden=False
 def press_golden(run_store, press_unit, run=None):
     order = Order("g", "s1", OrderKind.GOLDEN, "A0")
     run_store.check(order)
-    return run_store.store(order, run or pressed(press_unit, "A0", is_golden=True), quiet)
+    return run_store.store(order, run or press_run(press_unit, "A0", is_golden=True), quiet)
 
 
 def press_product(run_store, press_unit, serial="B1"):
-    run = pressed(press_unit, serial, gain=1.2, offset_V=0.6)
+    run = press_run(press_unit, serial, gain=1.2, offset_V=0.6)
     return run_store.store(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, quiet)
 
 
-def bridges(stored: StoredCalibration) -> set[str]:
+def correction_codes(stored: StoredCalibration) -> set[str]:
     return {why.code for why in stored.state.decision.reasons if why.code.startswith("bridge.")}
 
 
@@ -83,25 +83,27 @@ def batched(folder: Path, url: str, out: Path) -> dict[str, dict[str, object]]:
 
 def test_a_unit_is_calibrated_over_the_golden_run_of_its_sitting(registry, run_store, press_unit):
     press_product(run_store, press_unit, "B0")
-    assert not bridges(registry.calibrations.get("B0"))
+    assert not correction_codes(registry.calibrations.get("B0"))
     assert press_golden(run_store, press_unit).verdict == "pass"
     press_product(run_store, press_unit)
-    made = registry.calibrations.get("B1")
-    assert bridges(made) == {"bridge.measured"}
+    calibration = registry.calibrations.get("B1")
+    assert correction_codes(calibration) == {"bridge.measured"}
     (golden,) = registry.recordings.of_lot("small", "A0", "audit")
-    assert find_golden_runs(registry, "small", ["B0", "B1"]) == {made.state.fit.recording_sha256: ("B1", golden.sha256)}
+    assert find_golden_runs(registry, "small", ["B0", "B1"]) == {
+        calibration.state.fit.recording_sha256: ("B1", golden.sha256)
+    }
     assert registry.stations.golden_runs()[-1].recording_sha256 == golden.sha256
 
 
-def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
+def test_a_later_calibration_of_that_recording_has_the_same_day_correction(
     registry, registry_url, run_store, press_unit, tmp_path
 ):
     press_golden(run_store, press_unit)
     press_product(run_store, press_unit)
-    made = registry.calibrations.get("B1").state
+    state = registry.calibrations.get("B1").state
     with lot_files(registry, "small", lambda done, of: None) as folder:
         again = batched(folder.root, registry_url, tmp_path / "again.json")
-    assert (again["B1"]["is_new"], again["B1"]["map"]["sha256"]) == (False, made.map_sha256)
+    assert (again["B1"]["is_new"], again["B1"]["map"]["sha256"]) == (False, state.map_sha256)
     assert [one.revision for one in registry.calibrations.history("B1")] == [1]
 
 
@@ -109,14 +111,14 @@ def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
 def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, run_store, press_unit, tmp_path):
     press_golden(run_store, press_unit)
     press_product(run_store, press_unit)
-    made = registry.calibrations.get("B1").state
-    written = write_lot_folder(registry, "small", tmp_path / "one")
-    assert written["golden"] == ["A0"] and written["audit"] == []
+    state = registry.calibrations.get("B1").state
+    folder = write_lot_folder(registry, "small", tmp_path / "one")
+    assert folder["golden"] == ["A0"] and folder["audit"] == []
     elsewhere = f"sqlite:///{tmp_path / 'elsewhere.db'}"
     there = batched(tmp_path / "one", elsewhere, tmp_path / "there.json")
-    assert there["B1"]["verdict"] == made.verdict
+    assert there["B1"]["verdict"] == state.verdict
     with open_registry(elsewhere) as other:
-        assert bridges(other.calibrations.get("B1")) == {"bridge.measured"}
+        assert correction_codes(other.calibrations.get("B1")) == {"bridge.measured"}
         # The folder told it, and the registry knows it from now on.
         assert {serial for serial, _ in find_golden_runs(other, "small", ["B1"]).values()} == {"B1"}
     # A unit of another sitting: one folder cannot say which belongs to which.
@@ -126,24 +128,24 @@ def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, run_store, 
 
 @pytest.mark.parametrize("why", ["another station", "an earlier sitting", "it failed"])
 def test_a_golden_run_of_elsewhere_or_that_failed_carries_no_unit(why, registry, run_store, press_unit):
-    run = pressed(press_unit, "A0", is_golden=True)
+    run = press_run(press_unit, "A0", is_golden=True)
     if why == "it failed":
         run = replace(run, force_N=1.5 * run.force_N)
-    done = press_golden(run_store, press_unit, run)
-    assert done.verdict == ("fail" if why == "it failed" else "pass")
+    progress = press_golden(run_store, press_unit, run)
+    assert progress.verdict == ("fail" if why == "it failed" else "pass")
     station = "s2" if why == "another station" else "s1"
     sitting = timedelta(0) if why == "an earlier sitting" else timedelta(hours=8)
     other = RunStore(registry, station, NetworkConfig(hidden=(16, 8)), sitting=sitting)
     press_product(other, press_unit)
     assert find_golden_runs(registry, "small", ["B1"]) == {}
-    assert not bridges(registry.calibrations.get("B1"))
+    assert not correction_codes(registry.calibrations.get("B1"))
 
 
 def test_a_golden_run_that_no_day_explains_fails_and_says_so(registry, run_store, press_unit):
-    run = pressed(press_unit, "A0", is_golden=True)
-    done = press_golden(run_store, press_unit, replace(run, force_N=9.81 * run.force_N))
-    golden, bridge, held = done.message
-    assert (done.verdict, golden.code, held.code) == ("fail", "golden.error", "golden.held") and str(bridge)
+    run = press_run(press_unit, "A0", is_golden=True)
+    progress = press_golden(run_store, press_unit, replace(run, force_N=9.81 * run.force_N))
+    golden, correction, hold = progress.message
+    assert (progress.verdict, golden.code, hold.code) == ("fail", "golden.error", "golden.held") and str(correction)
 
 
 def test_golden_runs_of_the_source_show_how_days_differ(registry, run_store, press_unit):
@@ -171,14 +173,15 @@ def test_a_golden_run_that_lay_in_a_lot_folder_is_known_when_the_registry_lays_i
 
 
 @pytest.mark.parametrize(
-    "beside", layered(("no golden run", "under the load cell", "without the load cell"), ("under the load cell",))
+    "golden_source",
+    layered(("no golden run", "under the load cell", "without the load cell"), ("under the load cell",)),
 )
 @pytest.mark.parametrize("is_pressed_first", [True, False])
 def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
-    beside, is_pressed_first, registry, registry_url, run_store, lot_folder, press_unit, tmp_path
+    golden_source, is_pressed_first, registry, registry_url, run_store, lot_folder, press_unit, tmp_path
 ):
     """Whatever lies in the folder, whoever was first: what the batch decided with is what everybody has after it."""
-    run = pressed(press_unit, "B1", gain=1.2, offset_V=0.6)
+    run = press_run(press_unit, "B1", gain=1.2, offset_V=0.6)
     order = Order("o", "s1", OrderKind.UNIT, "B1", "small")
     for part in ("units", "audit"):
         shutil.rmtree(lot_folder / part)
@@ -186,18 +189,18 @@ def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
     write_columns(
         lot_folder / "units/B1.csv", [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
     )
-    if beside != "no golden run":
+    if golden_source != "no golden run":
         golden = press_unit(1500, 1.0, 0.5, 11)
-        golden = golden if beside == "under the load cell" else golden.drop(columns="reference")
+        golden = golden if golden_source == "under the load cell" else golden.drop(columns="reference")
         (lot_folder / "golden").mkdir()
         golden.to_csv(lot_folder / "golden/A0.csv", index=False)
     press_golden(run_store, press_unit)
-    if is_pressed_first or beside != "under the load cell":
+    if is_pressed_first or golden_source != "under the load cell":
         run_store.store(order, run, quiet)
     batched(lot_folder, registry_url, tmp_path / "batch.json")
-    made = registry.calibrations.get("B1")
+    calibration = registry.calibrations.get("B1")
     # The sitting goes on: a newer golden run is none of this recording's.
-    newer = pressed(press_unit, "A0", seed=71, is_golden=True)
+    newer = press_run(press_unit, "A0", seed=71, is_golden=True)
     run_store.store(Order("g2", "s1", OrderKind.GOLDEN, "A0"), newer, quiet)
     run_store.store(order, run, quiet)
     again = batched(lot_folder, registry_url, tmp_path / "again.json")
@@ -205,7 +208,12 @@ def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
         laid_out = batched(folder.root, registry_url, tmp_path / "laid_out.json")
     assert not again["B1"]["is_new"] and not laid_out["B1"]["is_new"]
     now = registry.calibrations.get("B1")
-    assert (now.input_sha256, now.state.map_sha256) == (made.input_sha256, made.state.map_sha256)
-    asked = {"lot": "small", "networks": [made.state.fit.network_id], "families": [MapConfig().family], "units": 1}
-    (row,) = compare_on_lot(registry, asked, lambda *_: None)
-    assert row["predicted"] == made.state.predicted_rmse
+    assert (now.input_sha256, now.state.map_sha256) == (calibration.input_sha256, calibration.state.map_sha256)
+    request = {
+        "lot": "small",
+        "networks": [calibration.state.fit.network_id],
+        "families": [MapConfig().family],
+        "units": 1,
+    }
+    (row,) = compare_on_lot(registry, request, lambda *_: None)
+    assert row["predicted"] == calibration.state.predicted_rmse

@@ -19,7 +19,7 @@ def station(calibrated):
     with open_registry(calibrated) as registry:
         # As far ahead as clocks may be: a slow machine must not let it grow silent meanwhile.
         at = datetime.now(UTC) + timedelta(seconds=25)
-        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, at, (), "host:1"))
+        registry.order_queue.write_heartbeat(Heartbeat("line-1", StationState.READY, at, (), "host:1"))
     return calibrated
 
 
@@ -37,8 +37,8 @@ def scanned(url: str, screen, *codes: str):
 
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_a_ready_line_asks_for_a_scan(station, show, language):
-    shown = html_of(show(station, "line", role=None, lang=language))
-    assert 'data-state="ready"' in shown and text(language, "line.ready.do") in shown
+    html = html_of(show(station, "line", role=None, lang=language))
+    assert 'data-state="ready"' in html and text(language, "line.ready.do") in html
 
 
 def test_the_start_button_orders_the_scanned_unit_for_the_operator(station, show):

@@ -30,26 +30,26 @@ from softcal.station.tasks.service import CODES
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 NETWORK = NetworkState(NetworkEntry("c" * 64, "L1", "", {}, {}, NOW), "released", NOW)
 LOT = LotAtLine(Lot("L1", "A0", 50.0, "eGaIn pad"), LineRules(), NETWORK, {"pass": 3, "fail": 1, "none": 2})
-SAY = partial(texts.text, "en")
+TRANSLATE = partial(texts.text, "en")
 UNIT_DONE = Progress("o1", RunState.DONE, "done", 1.0, message="predicted RMSE 0.07 N; all is well", verdict="pass")
 
 
-def heartbeat(state: StationState = StationState.READY, **facts) -> Heartbeat:
-    return Heartbeat("line-1", state, NOW, **facts)
+def heartbeat(state: StationState = StationState.READY, **fields) -> Heartbeat:
+    return Heartbeat("line-1", state, NOW, **fields)
 
 
 def run(progress: Progress = UNIT_DONE, kind: OrderKind = OrderKind.UNIT, serial: str = "A1"):
     return Order("o1", "line-1", kind, serial, "L1", "kim", created=NOW - timedelta(minutes=1)), progress
 
 
-def facts(**changes) -> LineStatus:
+def line_status(**changes) -> LineStatus:
     return replace(LineStatus(NOW, ("line-1",), heartbeat(), lots=("L1",), lot=LOT), **changes)
 
 
 def test_the_figure_of_a_run_has_units_on_its_axes() -> None:
-    option = live_signal(Signal((0.0, 1.0), (2.0, 3.0), (0.0, 0.1), (), "V"), palette.LIGHT, SAY)
-    named = [axis["name"] for axis in (option["xAxis"], *option["yAxis"])]
-    assert [name[name.index("[") :] for name in named] == ["[s]", "[V]", "[mm]"]
+    option = live_signal(Signal((0.0, 1.0), (2.0, 3.0), (0.0, 0.1), (), "V"), palette.LIGHT, TRANSLATE)
+    axis_names = [axis["name"] for axis in (option["xAxis"], *option["yAxis"])]
+    assert [name[name.index("[") :] for name in axis_names] == ["[s]", "[V]", "[mm]"]
 
 
 def waits(serial: str = "A1", run: str = "", **more) -> LineSession:
@@ -61,13 +61,13 @@ def result(verdict: str, times: int = 1) -> tuple[RunEntry, ...]:
     return tuple(RunEntry("A1", NOW - timedelta(hours=1), verdict, (plain("because"),)) for _ in range(times))
 
 
-def shown(**changes):
-    return line_view(facts(**changes), "Kim", SAY)
+def card_of(**changes):
+    return line_view(line_status(**changes), "Kim", TRANSLATE)
 
 
 ERROR = Progress("o1", RunState.ERROR, code="E-SILENT", message="the load cell does not answer; the stage stands")
-ASKED = {"loads": loads_text((KnownLoad(0.0), KnownLoad(2.0, 0.002))), "of": 2, "unit": "N"}
-WANTED = replace(UNIT_DONE, verdict="", message=(reason("load.wanted", step=0, **ASKED),))
+LOAD_VALUES = {"loads": loads_text((KnownLoad(0.0), KnownLoad(2.0, 0.002))), "of": 2, "unit": "N"}
+LOAD_REQUESTED = replace(UNIT_DONE, verdict="", message=(reason("load.wanted", step=0, **LOAD_VALUES),))
 SCANNED = LineSession(3, "an older run", process="")
 SITUATIONS = {
     "no_station": {"heartbeat": None},
@@ -90,7 +90,7 @@ SITUATIONS = {
     "fail": {"runs": (run(replace(UNIT_DONE, verdict="fail")),)},
     "retest": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest")},
     "retest_used_up": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest", 4)},
-    "load": {"runs": (run(WANTED),), "session": SCANNED},
+    "load": {"runs": (run(LOAD_REQUESTED),), "session": SCANNED},
     "reading": {"active": run(Progress("o1", RunState.RUNNING, "reading at rest", 0.4, 3.0), OrderKind.LOAD)},
     "recorded": {"runs": (run(replace(UNIT_DONE, verdict="")),)},
     "golden_pass": {"runs": (run(kind=OrderKind.GOLDEN),)},
@@ -100,7 +100,7 @@ SITUATIONS = {
 
 def test_every_situation_has_its_state_with_a_word_and_an_instruction():
     for situation, changes in SITUATIONS.items():
-        view = shown(**changes)
+        view = card_of(**changes)
         assert view.state == situation.split(",")[0] and view.word and view.instruction
         assert view.tone in line_card.MARKS
     assert {situation.split(",")[0] for situation in SITUATIONS} | {"away"} == set(STATES)
@@ -108,17 +108,21 @@ def test_every_situation_has_its_state_with_a_word_and_an_instruction():
 
 @pytest.mark.parametrize("language", texts.LANGUAGES)
 def test_ready_says_that_a_unit_can_be_pressed_and_nothing_else(language):
-    say = partial(texts.text, language)
-    words = {situation: line_view(facts(**changes), "Kim", say) for situation, changes in SITUATIONS.items()}
-    ready = {situation for situation, view in words.items() if view.word == words["armed"].word}
+    translate = partial(texts.text, language)
+    texts_by_situation = {
+        situation: line_view(line_status(**changes), "Kim", translate) for situation, changes in SITUATIONS.items()
+    }
+    ready = {
+        situation for situation, view in texts_by_situation.items() if view.word == texts_by_situation["armed"].word
+    }
     assert ready == {"ready", "armed"}
     for situation in ready:
-        stands = facts(**SITUATIONS[situation])
-        assert stands.may_press and stands.lot and stands.station_state == "ready"
+        context = line_status(**SITUATIONS[situation])
+        assert context.may_press and context.lot and context.station_state == "ready"
 
 
 @pytest.mark.parametrize(
-    ("code", "facts_of_it", "step"),
+    ("code", "reason_values", "step"),
     [
         ("load.wanted", {"step": 0}, 1),
         ("load.read", {"step": 1, "level": 0.1}, 2),
@@ -129,54 +133,54 @@ def test_ready_says_that_a_unit_can_be_pressed_and_nothing_else(language):
     ],
 )
 @pytest.mark.parametrize("language", texts.LANGUAGES)
-def test_the_card_names_the_load_to_put_on_and_what_was_wrong_with_the_last(code, facts_of_it, step, language):
-    say, why = partial(texts.text, language), reason(code, **facts_of_it, **ASKED)
+def test_the_card_names_the_load_to_put_on_and_what_was_wrong_with_the_last(code, reason_values, step, language):
+    translate, why = partial(texts.text, language), reason(code, **reason_values, **LOAD_VALUES)
     kind = OrderKind.UNIT if code == "load.wanted" else OrderKind.LOAD
-    done = replace(UNIT_DONE, verdict="", message=(why,))
-    view = line_view(facts(runs=(run(done, kind),), session=SCANNED), "Kim", say)
+    unit_done = replace(UNIT_DONE, verdict="", message=(why,))
+    view = line_view(line_status(runs=(run(unit_done, kind),), session=SCANNED), "Kim", translate)
     assert (view.state, view.serial, view.actions) == ("load", "A1", ("START", "CANCEL"))
-    wanted = {"step": step, "of": 2, "load": "2 ± 0.002 N"}
-    assert view.instruction == say("line.load.do.nothing" if step == 1 else "line.load.do", **wanted)
-    assert view.details == (() if code == "load.wanted" else (render_plain_reason(why, say),))
+    request_values = {"step": step, "of": 2, "load": "2 ± 0.002 N"}
+    assert view.instruction == translate("line.load.do.nothing" if step == 1 else "line.load.do", **request_values)
+    assert view.details == (() if code == "load.wanted" else (render_plain_reason(why, translate),))
 
 
 def test_a_load_is_not_asked_for_by_another_service_or_with_another_unit_in_the_hand():
-    assert shown(runs=(run(WANTED),), session=replace(SCANNED, process="before:1")).state == "recorded"
-    assert shown(runs=(run(WANTED),), session=LineSession(3, "o1")).state == "hand"
-    assert shown(runs=(run(WANTED),), session=waits("A2", "o1")).state == "armed"
+    assert card_of(runs=(run(LOAD_REQUESTED),), session=replace(SCANNED, process="before:1")).state == "recorded"
+    assert card_of(runs=(run(LOAD_REQUESTED),), session=LineSession(3, "o1")).state == "hand"
+    assert card_of(runs=(run(LOAD_REQUESTED),), session=waits("A2", "o1")).state == "armed"
 
 
 def test_a_weight_that_lies_on_the_unit_is_named_before_what_comes_next():
-    view = shown(runs=(run(UNIT_DONE, OrderKind.LOAD),))
-    assert view.state == "pass" and view.details[0] == SAY("line.weight_off")
+    view = card_of(runs=(run(UNIT_DONE, OrderKind.LOAD),))
+    assert view.state == "pass" and view.details[0] == TRANSLATE("line.weight_off")
     asks = replace(LOT, rules=LineRules(loads=(KnownLoad(0.0), KnownLoad(2.0))))
-    armed = shown(session=waits(), lot=asks)
-    assert SAY("line.no_weights") in armed.details
+    armed = card_of(session=waits(), lot=asks)
+    assert TRANSLATE("line.no_weights") in armed.details
 
 
 def test_a_run_goes_before_a_scan_and_a_stop_before_both():
     running = SITUATIONS["running"]
-    assert shown(**running, session=waits("A2", "o1")).state == "running"
-    assert shown(**SITUATIONS["stopped"], session=waits("A2", "o1")).state == "stopped"
+    assert card_of(**running, session=waits("A2", "o1")).state == "running"
+    assert card_of(**SITUATIONS["stopped"], session=waits("A2", "o1")).state == "stopped"
 
 
 def test_a_golden_unit_may_be_pressed_while_the_gate_is_closed():
     closed = heartbeat(StationState.CLOSED)
-    golden = shown(heartbeat=closed, session=waits("G1", is_golden=True))
-    assert golden.state == "armed_golden" and golden.tone != shown(session=waits()).tone
-    assert shown(heartbeat=closed, session=waits()).state == "closed"
+    golden = card_of(heartbeat=closed, session=waits("G1", is_golden=True))
+    assert golden.state == "armed_golden" and golden.tone != card_of(session=waits()).tone
+    assert card_of(heartbeat=closed, session=waits()).state == "closed"
 
 
 def test_a_unit_that_waits_stands_there_and_not_the_result_of_the_one_before():
-    assert shown(runs=(run(),), session=waits("A2", "o1")).serial == "A2"
-    assert shown(runs=(run(),), session=waits("A2", "an older run")).state == "pass"
+    assert card_of(runs=(run(),), session=waits("A2", "o1")).serial == "A2"
+    assert card_of(runs=(run(),), session=waits("A2", "an older run")).state == "pass"
 
 
-def test_no_unit_in_the_fixture_is_said_so():
+def test_an_empty_fixture_is_reported():
     message = reason("rig.aborted", why=reason("rig.no_contact", deepest_mm=40.0), state=Reason("left.lifted"))
     empty = replace(ERROR, code="E-SAFETY", message=(message,))
-    view = shown(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(empty),))
-    assert view.instruction == SAY("code.no_contact")
+    view = card_of(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(empty),))
+    assert view.instruction == TRANSLATE("code.no_contact")
 
 
 def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
@@ -185,24 +189,24 @@ def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
     )
     runs = (run(replace(UNIT_DONE, message=message)),)
     results = (replace(result("pass")[0], predicted_rmse=0.0712),)
-    assert shown(runs=runs, results=results).details == (SAY("line.result", rmse="0.0712 N"),)
+    assert card_of(runs=runs, results=results).details == (TRANSLATE("line.result", rmse="0.0712 N"),)
     limited = replace(LOT, lot=replace(LOT.lot, limit_rmse=0.2))
-    assert shown(runs=runs, results=results, lot=limited).details == (
-        SAY("line.result.limit", rmse="0.071 N", limit="0.2 N"),
+    assert card_of(runs=runs, results=results, lot=limited).details == (
+        TRANSLATE("line.result.limit", rmse="0.071 N", limit="0.2 N"),
     )
 
 
 def test_a_computer_that_stood_still_is_no_device_that_does_not_answer():
     message = reason("rig.aborted", why=reason("rig.host_paused", seconds=7.5), state=Reason("left.lifted"))
     silent = replace(ERROR, code="E-SILENT", message=(message,))
-    view = shown(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(silent),))
-    assert view.instruction == SAY("code.host_paused") and "7.5 s" in view.details[0]
+    view = card_of(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(silent),))
+    assert view.instruction == TRANSLATE("code.host_paused") and "7.5 s" in view.details[0]
 
 
 LOOSE = reason(
     "masked.spike", count=2, first=reason("part.value_at", place=reason("part.at_time", at=12.34), value=9.0)
 )
-FEW_WORDS = {
+SHORT_TEXTS = {
     "a loose cable": (LOOSE, "12.3"),
     "too much of it": (reason("samples_missing", observed=LOOSE, share=0.4, windows=0.5), "12.3"),
     "a fit of the lot": (reason("lot_fit.open", number=2, count=7), "7"),
@@ -210,12 +214,12 @@ FEW_WORDS = {
 
 
 @pytest.mark.parametrize("language", texts.LANGUAGES)
-@pytest.mark.parametrize(("why", "number"), FEW_WORDS.values(), ids=FEW_WORDS)
-def test_the_moment_and_the_count_that_help_at_the_line_are_in_its_few_words(why, number, language):
-    say = partial(texts.text, language)
-    view = line_view(facts(runs=(run(replace(UNIT_DONE, verdict="retest", message=(why,))),)), "", say)
+@pytest.mark.parametrize(("why", "number"), SHORT_TEXTS.values(), ids=SHORT_TEXTS)
+def test_the_short_text_of_the_line_has_the_time_and_the_count_that_help(why, number, language):
+    translate = partial(texts.text, language)
+    view = line_view(line_status(runs=(run(replace(UNIT_DONE, verdict="retest", message=(why,))),)), "", translate)
     assert number in view.details[0] and len(view.details[0]) < 80
-    assert view.reason_details == (render_reason(why, say),)
+    assert view.reason_details == (render_reason(why, translate),)
 
 
 @pytest.mark.parametrize(("language", "who"), [("en", "engineer"), ("ko", "엔지니어")])
@@ -223,8 +227,8 @@ def test_without_a_limit_the_line_says_who_states_it(language, who):
     why = reason(
         "no_limit", source=Reason("part.measured"), rmse=0.1, unit="N", share=0.02, lower=0.05, upper=0.2, level=0.95
     )
-    done = run(replace(UNIT_DONE, verdict="conditional", message=(why,)))
-    assert who in line_view(facts(runs=(done,)), "", partial(texts.text, language)).details[0]
+    unit_done = run(replace(UNIT_DONE, verdict="conditional", message=(why,)))
+    assert who in line_view(line_status(runs=(unit_done,)), "", partial(texts.text, language)).details[0]
 
 
 NEAR = reason("stuck", seconds=2.5)
@@ -232,70 +236,75 @@ NEAR = reason("stuck", seconds=2.5)
 
 def test_a_card_and_its_chip_say_what_every_page_says_of_the_unit_now():
     audited = UnitResult("A1", "fail", (NEAR,), NOW)
-    view = shown(runs=(run(),), unit_statuses={"A1": audited})
+    view = card_of(runs=(run(),), unit_statuses={"A1": audited})
     assert (view.state, view.word, view.chips[0].word) == ("fail", "FAIL", "FAIL")
-    assert view.details[0] == SAY("plainly.stuck") and SAY("verdict.pass") in view.details[1]
+    assert view.details[0] == TRANSLATE("plainly.stuck") and TRANSLATE("verdict.pass") in view.details[1]
     assert view.reason_details == (str(NEAR),)
 
 
-def test_a_run_that_judged_nothing_shows_no_older_verdict():
+def test_a_run_that_decided_nothing_shows_no_older_verdict():
     old = UnitResult("A1", "pass", (), NOW - timedelta(days=1))
     unjudged = run(replace(UNIT_DONE, verdict=""))
-    assert shown(runs=(unjudged,), unit_statuses={"A1": old}).state == "recorded"
-    assert shown(runs=(unjudged,), unit_statuses={"A1": replace(old, made_at=NOW)}).state == "pass"
+    assert card_of(runs=(unjudged,), unit_statuses={"A1": old}).state == "recorded"
+    assert card_of(runs=(unjudged,), unit_statuses={"A1": replace(old, made_at=NOW)}).state == "pass"
 
 
 def test_of_several_units_of_one_run_the_worst_is_shown():
-    stands = {f"A1-{k}": UnitResult(f"A1-{k}", word, (), NOW) for k, word in ((1, "pass"), (2, "conditional"))}
-    assert shown(runs=(run(),), unit_statuses=stands).state == "conditional"
+    results = {f"A1-{k}": UnitResult(f"A1-{k}", word, (), NOW) for k, word in ((1, "pass"), (2, "conditional"))}
+    assert card_of(runs=(run(),), unit_statuses=results).state == "conditional"
 
 
 @pytest.mark.parametrize("language", texts.LANGUAGES)
-def test_the_line_and_the_desk_have_one_word_for_a_verdict(language):
-    say = partial(texts.text, language)
+def test_line_and_office_have_one_word_for_a_verdict(language):
+    translate = partial(texts.text, language)
     for word in Verdict:
         now = run(replace(UNIT_DONE, verdict=str(word)))
-        view = line_view(facts(runs=(now,), results=result(str(word))), "", say)
-        assert view.word == view.chips[0].word == say(f"verdict.{word}").upper()
+        view = line_view(line_status(runs=(now,), results=result(str(word))), "", translate)
+        assert view.word == view.chips[0].word == translate(f"verdict.{word}").upper()
 
 
-def test_another_network_is_told_until_a_unit_was_pressed_with_it():
+def test_another_network_is_reported_until_a_unit_was_pressed_with_it():
     released = replace(NETWORK, since=NOW, actor="Quinn", reason="half the error")
     lot = replace(LOT, network=released)
-    assert "Quinn: half the error" in shown(lot=lot, runs=(run(),)).details[-1]
+    assert "Quinn: half the error" in card_of(lot=lot, runs=(run(),)).details[-1]
     newer = replace(run()[0], created=NOW + timedelta(minutes=1)), UNIT_DONE
-    assert not any("Quinn" in line for line in shown(lot=lot, runs=(newer,)).details)
+    assert not any("Quinn" in line for line in card_of(lot=lot, runs=(newer,)).details)
 
 
 def test_a_badge_is_marked_as_one_and_says_when_it_has_ended():
     badged = LineSession(1, operator="Lee", badged_at=NOW)
-    here = facts(session=badged)
-    assert dict(line_view(here, "", SAY).cells)[SAY("role.operator")] == SAY("line.badge", name="Lee")
-    assert dict(line_view(here, "Quinn", SAY).cells)[SAY("role.operator")] == "Quinn"
+    here = line_status(session=badged)
+    assert dict(line_view(here, "", TRANSLATE).cells)[TRANSLATE("role.operator")] == TRANSLATE("line.badge", name="Lee")
+    assert dict(line_view(here, "Quinn", TRANSLATE).cells)[TRANSLATE("role.operator")] == "Quinn"
     ended = replace(here, now=NOW + timedelta(hours=11), heartbeat=None)
-    assert dict(line_view(ended, "", SAY).cells)[SAY("role.operator")] == SAY("line.badge.over", name="Lee")
+    assert dict(line_view(ended, "", TRANSLATE).cells)[TRANSLATE("role.operator")] == TRANSLATE(
+        "line.badge.over", name="Lee"
+    )
 
 
 def test_every_sentence_about_a_scan_ends_with_the_next_run():
-    render_reason = LineSession(3, None, note=Note("scan_first", run="o1"))
-    assert views_line.render_note(facts(runs=(run(),), session=render_reason), SAY) == (SAY("note.scan_first"), True)
+    session = LineSession(3, None, note=Note("scan_first", run="o1"))
+    assert views_line.render_note(line_status(runs=(run(),), session=session), TRANSLATE) == (
+        TRANSLATE("note.scan_first"),
+        True,
+    )
     assert views_line.render_note(
-        facts(active=run(replace(UNIT_DONE, state=RunState.RUNNING)), session=render_reason), SAY
+        line_status(active=run(replace(UNIT_DONE, state=RunState.RUNNING)), session=session), TRANSLATE
     )
     later = replace(run()[0], order_id="o2"), UNIT_DONE
-    assert views_line.render_note(facts(runs=(later, run()), session=render_reason), SAY) is None
+    assert views_line.render_note(line_status(runs=(later, run()), session=session), TRANSLATE) is None
 
 
 def test_a_stop_names_what_happened_what_to_do_and_its_code():
-    view = shown(**SITUATIONS["stopped"])
-    assert view.instruction == SAY("code.E-SILENT")
-    assert view.details == (ERROR.text, SAY("line.code", code="E-SILENT"))
+    view = card_of(**SITUATIONS["stopped"])
+    assert view.instruction == TRANSLATE("code.E-SILENT")
+    assert view.details == (ERROR.text, TRANSLATE("line.code", code="E-SILENT"))
 
 
 def test_a_station_that_stopped_between_runs_does_not_blame_the_last_run():
-    gone = heartbeat(StationState.STOPPED, reasons=("the readout is gone",))
-    view = shown(heartbeat=gone, runs=(run(ERROR),))
-    assert view.details == ("the readout is gone",) and view.instruction == SAY("line.stopped.do")
+    stopped_heartbeat = heartbeat(StationState.STOPPED, reasons=("the readout is gone",))
+    view = card_of(heartbeat=stopped_heartbeat, runs=(run(ERROR),))
+    assert view.details == ("the readout is gone",) and view.instruction == TRANSLATE("line.stopped.do")
 
 
 def test_every_code_of_the_station_has_its_instruction_in_every_language():
@@ -304,46 +313,46 @@ def test_every_code_of_the_station_has_its_instruction_in_every_language():
 
 
 def test_the_bar_tells_station_lot_product_operator_count_and_yield():
-    station, *others = (value for _, value in shown().cells)
-    assert station.startswith("line-1") and SAY("station.state.ready") in station
+    station, *others = (value for _, value in card_of().cells)
+    assert station.startswith("line-1") and TRANSLATE("station.state.ready") in station
     assert others == ["L1", "eGaIn pad", "Kim", "4 / 6", "75.0 %"]
     # A stated target goes before the number of known units.
     lot = replace(LOT, rules=LineRules(target=500))
-    assert dict(shown(lot=lot).cells)[SAY("line.cell.units")] == "4 / 500"
+    assert dict(card_of(lot=lot).cells)[TRANSLATE("line.cell.units")] == "4 / 500"
 
 
 def test_a_stop_of_the_station_is_no_reject_among_the_last_units():
-    chips = shown(runs=(run(ERROR, serial="A2"), run())).chips
+    chips = card_of(runs=(run(ERROR, serial="A2"), run())).chips
     assert [(chip.serial, chip.tone) for chip in chips] == [("A2", "stopped"), ("A1", "pass")]
     # At most fourteen are shown, and none of another lot.
     other = replace(run()[0], lot_id="L9"), UNIT_DONE
-    chips = shown(runs=(other, *(run(serial=f"A{k}") for k in range(30)))).chips
+    chips = card_of(runs=(other, *(run(serial=f"A{k}") for k in range(30)))).chips
     assert len(chips) == 14 and chips[0].serial == "A0"
 
 
 def test_a_question_shows_the_old_result():
-    view = shown(**SITUATIONS["ask"])
-    assert SAY("verdict.pass") in view.instruction and view.details == ("because",)
+    view = card_of(**SITUATIONS["ask"])
+    assert TRANSLATE("verdict.pass") in view.instruction and view.details == ("because",)
 
 
 def test_a_running_view_has_phase_remaining_time_and_signal():
     signal = Signal((0.0, 0.1), (1.0, 1.1), (0.0, 0.2))
     progress = Progress("o1", RunState.RUNNING, "pressing", 0.4, 100.0, signal=signal)
-    view = shown(active=run(progress))
+    view = card_of(active=run(progress))
     assert (view.phase, view.fraction, view.signal) == ("pressing", 0.4, signal) and "2 min" in view.remaining
     # A phase that no text is for stands as the station says it.
-    assert shown(active=run(replace(progress, phase="polishing"))).phase == "polishing"
+    assert card_of(active=run(replace(progress, phase="polishing"))).phase == "polishing"
 
 
 def test_without_the_registry_the_screen_says_how_many_results_wait():
-    view = away_view(12, "Kim", SAY)
+    view = away_view(12, "Kim", TRANSLATE)
     assert view.state == "away" and "12" in view.details[0]
 
 
 def test_what_comes_from_outside_is_shown_as_text():
     evil = "<script>alert(1)</script>"
     view = replace(
-        shown(runs=(run(serial="A1"),)),
+        card_of(runs=(run(serial="A1"),)),
         serial=evil,
         details=(evil,),
         reason_details=(evil,),
@@ -378,18 +387,18 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_words_stand_out_on_the_ground_of_every_state():
+def test_words_stand_out_on_the_background_of_every_state():
     css = Path(line_card.__file__).with_suffix(".css").read_text()
-    grounds = dict(re.findall(r"\.sc-(\w+) \{ background: (#\w{6}); \}", css))
+    backgrounds = dict(re.findall(r"\.sc-(\w+) \{ background: (#\w{6}); \}", css))
     of_verdicts = dict(re.findall(r"\.sc-(\w+) \{ background: var\(--sc-verdict-(\w+)\); \}", css))
-    assert {state.tone for state in STATES.values()} <= {*grounds, *of_verdicts}
-    assert all(contrast("#FFFFFF", ground) >= 4.5 for ground in grounds.values())
+    assert {state.tone for state in STATES.values()} <= {*backgrounds, *of_verdicts}
+    assert all(contrast("#FFFFFF", background) >= 4.5 for background in backgrounds.values())
     assert all(contrast(palette.VERDICT_INK, palette.VERDICT[one]) >= 4.5 for one in of_verdicts.values())
 
 
 @pytest.mark.parametrize(
-    ("colours", "grounds"), [(palette.LIGHT, ("#FFFFFF", "#F1F4F7")), (palette.DARK, ("#11181F", "#1B252E"))]
+    ("colours", "backgrounds"), [(palette.LIGHT, ("#FFFFFF", "#F1F4F7")), (palette.DARK, ("#11181F", "#1B252E"))]
 )
-def test_words_on_the_page_stand_out_in_both_themes(colours, grounds):
-    for ground in grounds:
-        assert all(contrast(getattr(colours, name), ground) >= 4.5 for name in ("text", "soft", "good", "bad"))
+def test_texts_of_the_page_stand_out_in_both_themes(colours, backgrounds):
+    for background in backgrounds:
+        assert all(contrast(getattr(colours, name), background) >= 4.5 for name in ("text", "soft", "good", "bad"))

@@ -32,12 +32,12 @@ class Line:
     def __init__(self, registry):
         self.registry, self.queue = registry, registry.order_queue
         registry.lots.add(Lot("L1", "A0", 50.0))
-        self.beat()
+        self.write_heartbeat()
 
-    def beat(self, state=StationState.READY, age_s=-25.0, reasons=(), process="host:1"):
+    def write_heartbeat(self, state=StationState.READY, age_s=-25.0, reasons=(), process="host:1"):
         # As far ahead as clocks may be: a slow machine must not let it grow silent.
         at = datetime.now(UTC) - timedelta(seconds=age_s)
-        self.queue.beat(Heartbeat("line-1", state, at, reasons, process))
+        self.queue.write_heartbeat(Heartbeat("line-1", state, at, reasons, process))
 
     def scan(self, text, screen=HERE):
         """Scan, and return the key of what is said then."""
@@ -52,16 +52,16 @@ class Line:
     def orders(self):
         return [(order.kind, order.serial, order.reason) for order, _ in self.queue.runs("line-1")]
 
-    def end(self, state=RunState.DONE, **facts):
+    def end(self, state=RunState.DONE, **fields):
         """The station takes the order in progress and ends it."""
         order = self.queue.take("line-1")
-        if facts.get("verdict") in ("fail", "retest"):
-            self.registry.calibrations.refuse("L1", order.serial, facts["verdict"], (plain(f"{datetime.now(UTC)}"),))
-        self.queue.report(Progress(order.order_id, state, **facts))
+        if fields.get("verdict") in ("fail", "retest"):
+            self.registry.calibrations.refuse("L1", order.serial, fields["verdict"], (plain(f"{datetime.now(UTC)}"),))
+        self.queue.report(Progress(order.order_id, state, **fields))
         return order
 
     @property
-    def facts(self):
+    def status(self):
         return read_line(self.registry, HERE)
 
 
@@ -90,7 +90,7 @@ def line(tmp_path):
 
 def test_a_scan_moves_nothing_until_somebody_starts(line):
     assert line.scan("a1") is None
-    assert line.facts.serial == "A1" and line.orders() == []
+    assert line.status.serial == "A1" and line.orders() == []
     line.scan("CMD:START")
     assert line.orders() == [(OrderKind.UNIT, "A1", "")]
     order = line.queue.runs("line-1")[0][0]
@@ -119,7 +119,7 @@ def test_a_unit_waits_at_every_screen_and_an_ordered_one_at_none(line):
         ("(21)A1(10)L9", "other_lot"),
     ],
 )
-def test_what_cannot_be_done_is_said_and_orders_nothing(line, scanned, refusal):
+def test_what_cannot_be_done_is_reported_and_orders_nothing(line, scanned, refusal):
     assert line.scan(scanned) == refusal
     assert line.orders() == []
 
@@ -131,7 +131,7 @@ def test_a_unit_of_another_lot_is_refused_by_its_row_and_by_its_pattern(line):
     line.registry.lots.set_line_rules("L2", LineRules(r"B\d+", "upper"), reason="drawing")
     line.scan("LOT:l1")
     assert [line.scan(code) for code in ("X7", "b3", "C1", "a1")] == ["other_lot", "other_lot", "bad_serial", None]
-    assert line.facts.serial == "A1"
+    assert line.status.serial == "A1"
 
 
 def test_two_lots_ask_for_the_lot_first_and_remember_the_one_pressed_last(line):
@@ -140,27 +140,27 @@ def test_two_lots_ask_for_the_lot_first_and_remember_the_one_pressed_last(line):
     assert line.scan("LOT:L2") == "lot"
     line.start("B1")
     line.end(verdict="fail", code="")
-    assert line.facts.lot.id == "L2"
+    assert line.status.lot.id == "L2"
 
 
 def test_scans_during_a_run_are_refused_at_every_screen(line):
     line.start("A1")
     for screen in (HERE, OTHER_TAB):
-        said = [line.scan(code, screen) for code in ("A2", "CMD:START", "CMD:OK")]
-        assert said == ["busy", "busy_key", "busy_key"]
+        answers = [line.scan(code, screen) for code in ("A2", "CMD:START", "CMD:OK")]
+        assert answers == ["busy", "busy_key", "busy_key"]
     assert len(line.orders()) == 1
 
 
-def test_what_was_refused_in_a_run_is_said_after_it_and_a_useless_key_is_not(line):
+def test_what_was_refused_in_a_run_is_reported_after_it_and_a_useless_key_is_not(line):
     line.start("A1")
     line.scan("A2")
     line.end(verdict="pass")
-    note = line.facts.note
+    note = line.status.note
     assert (note.key, note.values["scanned"], note.values["serial"]) == ("meanwhile", "A2", "A1")
     line.start("A3")
     line.scan("CMD:START")
     line.end(verdict="pass")
-    assert line.facts.note is None
+    assert line.status.note is None
 
 
 def test_a_stop_is_ordered_in_mid_run(line):
@@ -184,12 +184,12 @@ def test_a_stop_that_comes_by_two_ways_is_one_order_and_names_the_badge(line):
 def test_after_a_stop_nothing_goes_on_until_it_was_read_and_then_the_unit_is_scanned_again(line):
     line.start("A1")
     line.end(RunState.ERROR, code="E-SILENT", message="gone")
-    line.beat(StationState.STOPPED, reasons=("gone",))
+    line.write_heartbeat(StationState.STOPPED, reasons=("gone",))
     assert line.scan("A2") == "acknowledge_first"
     assert line.scan("CMD:OK") == "acknowledged"
     assert line.end().kind is OrderKind.ACKNOWLEDGE
-    line.beat()
-    assert line.facts.serial == "" and line.facts.is_unit_uncertain
+    line.write_heartbeat()
+    assert line.status.serial == "" and line.status.is_unit_uncertain
     assert line.scan("CMD:START") == "scan_first"
     line.start("A1")
     assert line.queue.active("line-1")[0].serial == "A1"
@@ -201,8 +201,8 @@ def test_a_refused_scan_takes_the_unit_before_it_off_the_screen(line, refused):
     register(line.registry, "L2", "X7")
     line.scan("LOT:L1")
     line.scan("A1")
-    assert line.facts.serial == "A1" and line.scan(refused) is not None
-    assert line.facts.serial == "" and line.scan("CMD:START") == "scan_first"
+    assert line.status.serial == "A1" and line.scan(refused) is not None
+    assert line.status.serial == "" and line.scan("CMD:START") == "scan_first"
     assert line.orders() == []
 
 
@@ -216,19 +216,19 @@ def test_no_key_but_the_one_that_starts_ever_presses(line, key):
 
 def test_a_unit_is_scanned_again_after_the_station_s_service_was_started_again(line):
     line.scan("A1")
-    line.beat(age_s=-120.0, process="host:1")
-    assert line.facts.serial == "A1"
-    line.beat(StationState.OFF, age_s=-180.0)
-    line.beat(age_s=-240.0, process="host:2")
-    assert line.facts.serial == "" and line.scan("CMD:START") == "scan_first"
+    line.write_heartbeat(age_s=-120.0, process="host:1")
+    assert line.status.serial == "A1"
+    line.write_heartbeat(StationState.OFF, age_s=-180.0)
+    line.write_heartbeat(age_s=-240.0, process="host:2")
+    assert line.status.serial == "" and line.scan("CMD:START") == "scan_first"
 
 
 def test_a_key_at_a_screen_that_showed_something_else_presses_nothing(line):
-    seen = replace(OTHER_TAB, version=line.facts.session.version)
+    stale_view = replace(OTHER_TAB, version=line.status.session.version)
     line.scan("A2")
-    assert line.scan("CMD:START", seen) == "look_again"
+    assert line.scan("CMD:START", stale_view) == "look_again"
     assert line.orders() == []
-    assert line.scan("CMD:START", replace(OTHER_TAB, version=line.facts.session.version)) is None
+    assert line.scan("CMD:START", replace(OTHER_TAB, version=line.status.session.version)) is None
     assert line.orders() == [(OrderKind.UNIT, "A2", "")]
 
 
@@ -238,7 +238,7 @@ def test_a_unit_with_a_result_is_only_pressed_once_that_was_read_and_as_often_as
     line.end(verdict="fail")
     assert line.scan("CMD:OK") == "nothing_to_confirm"
     line.scan("A1")
-    assert line.facts.remaining_retests == 1
+    assert line.status.remaining_retests == 1
     assert line.scan("CMD:START") == "ask_first"
     assert line.scan("CMD:OK") is None and line.scan("CMD:OK") == "nothing_to_confirm"
     assert line.scan("CMD:START") is None
@@ -263,40 +263,40 @@ def test_a_run_that_broke_is_no_test(line):
         line.end(RunState.ERROR, code="E-INTERRUPTED")
 
 
-def asked(line, serial):
+def scan_and_read_question(line, serial):
     line.scan(serial)
-    return line.facts.open_question
+    return line.status.open_question
 
 
 def test_a_serial_unlike_any_of_the_lot_becomes_a_unit_only_once_that_was_read(line):
-    assert asked(line, "A12") == "ask_new" and line.scan("CMD:START") == "ask_new_first"
+    assert scan_and_read_question(line, "A12") == "ask_new" and line.scan("CMD:START") == "ask_new_first"
     line.scan("CMD:OK")
     assert line.scan("CMD:START") is None
     line.end(verdict="pass")
-    assert asked(line, "A13") == ""
+    assert scan_and_read_question(line, "A13") == ""
 
 
 def test_where_units_were_registered_by_name_every_other_one_is_asked_for(line):
     register(line.registry, "L1", "A1")
-    assert (asked(line, "A2"), asked(line, "A1")) == ("ask_new", "")
+    assert (scan_and_read_question(line, "A2"), scan_and_read_question(line, "A1")) == ("ask_new", "")
 
 
 def test_a_rule_of_the_lot_says_which_serials_are_its_own(line):
     line.registry.lots.set_line_rules("L1", LineRules(r"A\d+", "upper"), reason="drawing")
-    assert asked(line, "A12") == ""
+    assert scan_and_read_question(line, "A12") == ""
 
 
 def test_nothing_is_ordered_from_a_station_that_is_not_there_or_may_not_run(line):
     line.scan("A1")
-    line.beat(age_s=4)
+    line.write_heartbeat(age_s=4)
     assert line.scan("CMD:START") == "silent"
-    line.beat(StationState.CLOSED)
+    line.write_heartbeat(StationState.CLOSED)
     assert line.scan("CMD:START") == "closed"
     assert line.orders() == []
 
 
 def test_a_golden_unit_is_known_by_its_label_and_later_by_its_serial(line):
-    line.beat(StationState.CLOSED)
+    line.write_heartbeat(StationState.CLOSED)
     line.scan("GOLDEN:G1")
     line.scan("CMD:START")
     assert line.orders()[0][:2] == (OrderKind.GOLDEN, "G1")
@@ -305,7 +305,7 @@ def test_a_golden_unit_is_known_by_its_label_and_later_by_its_serial(line):
         GoldenRun("line-1", "small", "G1", datetime.now(UTC), 0.1, "N", True, (), "kim")
     )
     line.scan("G1")
-    assert line.facts.is_golden
+    assert line.status.is_golden
 
 
 def test_a_badge_names_the_operator_at_every_screen_and_orders_say_that_it_was_a_badge(line):
@@ -318,20 +318,20 @@ def test_a_badge_names_the_operator_at_every_screen_and_orders_say_that_it_was_a
 
 
 def test_a_badge_ends_with_the_shift_and_that_is_seen(line):
-    facts = take_scan(line.registry, HERE, "BADGE:Kim")
-    later = replace(facts, now=facts.now + timedelta(hours=11))
+    context = take_scan(line.registry, HERE, "BADGE:Kim")
+    later = replace(context, now=context.now + timedelta(hours=11))
     assert later.operator == "" and later.session.operator == "Kim"
 
 
 def test_a_name_that_opens_more_than_the_line_is_not_taken_from_a_badge(line):
     line.registry.people.set("Quinn", "quality", "7391", actor="test")
     assert line.scan("BADGE:quinn") == "badge_needs_pin"
-    assert line.facts.operator == ""
+    assert line.status.operator == ""
 
 
 def test_a_chosen_station_is_one_of_several(line):
-    line.queue.beat(Heartbeat("line-2", StationState.READY, datetime.now(UTC)))
-    assert line.facts.station == ""
+    line.queue.write_heartbeat(Heartbeat("line-2", StationState.READY, datetime.now(UTC)))
+    assert line.status.station == ""
     assert read_line(line.registry, replace(HERE, station="line-2")).station == "line-2"
     with pytest.raises(InputError):
         line.scan("A1")
@@ -339,42 +339,42 @@ def test_a_chosen_station_is_one_of_several(line):
 
 def test_an_order_of_somebody_else_in_the_same_moment_leaves_the_unit_to_be_scanned_again(line, monkeypatch):
     line.scan("A1")
-    place = type(line.queue).place
+    place_order = type(line.queue).place
 
     def late(queue, order, **how):
         monkeypatch.undo()
         queue.place(Order("x", "line-1", OrderKind.CHECK))
-        place(queue, order, **how)
+        place_order(queue, order, **how)
 
     monkeypatch.setattr(type(line.queue), "place", late)
     assert line.scan("CMD:START") == "busy_key"
-    assert line.facts.serial == "" and line.orders() == [(OrderKind.CHECK, "", "")]
+    assert line.status.serial == "" and line.orders() == [(OrderKind.CHECK, "", "")]
 
 
-@pytest.mark.parametrize("held_at", ["the place", "the order"])
-def test_a_start_that_waited_longer_than_the_screen_says_moves_nothing(line, monkeypatch, held_at):
+@pytest.mark.parametrize("waiting_call", ["the place", "the order"])
+def test_a_start_that_waited_longer_than_the_screen_says_moves_nothing(line, monkeypatch, waiting_call):
     line.scan("A1")
     monkeypatch.setattr(line_module, "START_S", 0.3)
-    queue, places = type(line.queue), type(line.registry.line_places)
-    owner, name = (places, "write") if held_at == "the place" else (queue, "place")
-    begin, held = getattr(owner, name), threading.Event()
+    queue, sessions = type(line.queue), type(line.registry.line_sessions)
+    owner, name = (sessions, "write") if waiting_call == "the place" else (queue, "place")
+    begin, is_waiting = getattr(owner, name), threading.Event()
 
     def hold():
         with open_registry(line.registry.database.engine.url.render_as_string()) as other:
             with other.database.writing():
-                held.set()
+                is_waiting.set()
                 time.sleep(1.0)
 
-    def while_held(*given, **named):
+    def call_while_waiting(*positional, **keywords):
         monkeypatch.setattr(owner, name, begin)
         holder = threading.Thread(target=hold)
         holder.start()
-        held.wait()
-        return begin(*given, **named)
+        is_waiting.wait()
+        return begin(*positional, **keywords)
 
-    monkeypatch.setattr(owner, name, while_held)
+    monkeypatch.setattr(owner, name, call_while_waiting)
     assert line.scan("CMD:START") == "late_start"
-    assert line.facts.serial == "" and line.orders() == []
+    assert line.status.serial == "" and line.orders() == []
 
 
 @pytest.mark.parametrize(("ahead_s", "start_s"), [(-0.1, 120.0), (1e6, -0.1)], ids=["on its way", "another clock"])
@@ -382,16 +382,16 @@ def test_a_start_that_is_late_moves_nothing_whatever_clock_set_its_deadline(line
     line.scan("A1")
     monkeypatch.setattr(line_module, "START_S", start_s)
     assert line.scan("CMD:START", replace(HERE, until_s=time.monotonic() + ahead_s)) == "late_start"
-    assert line.facts.serial == "" and line.orders() == []
+    assert line.status.serial == "" and line.orders() == []
 
 
 def test_a_service_whose_process_is_gone_is_gone_at_once_and_one_that_lives_may_be_late(line):
-    gone = subprocess.Popen(["true"])
-    gone.wait()
-    beat, here = line.facts.heartbeat, socket.gethostname()
-    processes = f"{here}:{gone.pid}", f"{here}:{os.getpid()}", "host:1"
+    ended_process = subprocess.Popen(["true"])
+    ended_process.wait()
+    heartbeat, here = line.status.heartbeat, socket.gethostname()
+    processes = f"{here}:{ended_process.pid}", f"{here}:{os.getpid()}", "host:1"
     assert [*map(is_alive, processes)] == [False, True, None]
     cases = ((False, 0, False), (True, 8, True), (True, 20, False), (None, 2, True), (None, 4, False))
     for lives, age_s, is_there in cases:
-        facts = replace(line.facts, is_alive=lives, heartbeat=beat, now=beat.at + timedelta(seconds=age_s))
-        assert facts.is_answering is is_there, (lives, age_s)
+        context = replace(line.status, is_alive=lives, heartbeat=heartbeat, now=heartbeat.at + timedelta(seconds=age_s))
+        assert context.is_answering is is_there, (lives, age_s)

@@ -58,11 +58,11 @@ def loaded(*arguments: str, codes: tuple[int, ...] = (0,)) -> set[str]:
     ids=lambda value: value.split(" --")[0] if isinstance(value, str) else "",
 )
 def test_a_command_that_reads_loads_only_what_it_uses(calibrated, command, without):
-    found = loaded(*(part.format(**calibrated) for part in command.split()))
-    assert found & without == set()
+    modules = loaded(*(part.format(**calibrated) for part in command.split()))
+    assert modules & without == set()
 
 
-def asked(*arguments: str) -> set[str]:
+def modules_of_help(*arguments: str) -> set[str]:
     """Ask a command for its help or version and return the names of all modules it loaded."""
     call = f"with contextlib.suppress(SystemExit): main({list(arguments)!r})"
     return modules_of(f"import contextlib\nfrom softcal.app.cli.main import main\n{call}")
@@ -70,30 +70,30 @@ def asked(*arguments: str) -> set[str]:
 
 @pytest.mark.parametrize("option", ["--help", "--version"])
 def test_what_is_asked_of_softcal_itself_loads_no_command(option):
-    found = asked(option)
-    assert not found & (HEAVY | NUMBERS | {"sqlalchemy"})
-    assert not {f"softcal.app.cli.{name}" for name in COMMANDS} & found
+    modules = modules_of_help(option)
+    assert not modules & (HEAVY | NUMBERS | {"sqlalchemy"})
+    assert not {f"softcal.app.cli.{name}" for name in COMMANDS} & modules
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_loads_that_command_and_no_library(command):
-    found = asked(command.rstrip("_"), "--help")
-    assert not found & (HEAVY | NUMBERS | {"sqlalchemy"})
-    assert {name for name in COMMANDS if f"softcal.app.cli.{name}" in found} == {command}
+    modules = modules_of_help(command.rstrip("_"), "--help")
+    assert not modules & (HEAVY | NUMBERS | {"sqlalchemy"})
+    assert {name for name in COMMANDS if f"softcal.app.cli.{name}" in modules} == {command}
 
 
 def test_listing_loads_no_other_command_and_no_queue(calibrated):
-    found = loaded("registry", "list", "--registry", calibrated["url"])
-    commands = {name for name in found if name.startswith("softcal.app.cli.")}
+    modules = loaded("registry", "list", "--registry", calibrated["url"])
+    commands = {name for name in modules if name.startswith("softcal.app.cli.")}
     assert not {"softcal.app.cli.batch", "softcal.app.cli.gap", "softcal.app.cli.station"} & commands
-    assert not {f"softcal.db.queues.{name}" for name in ("job_board", "order_queue", "outbox", "work_queue")} & found
+    assert not {f"softcal.db.queues.{name}" for name in ("job_board", "order_queue", "outbox", "work_queue")} & modules
 
 
 @pytest.mark.long
 def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
     options = ("--registry", calibrated["url"], "--hidden", "16,8", "--no-own", "--refit")
-    found = loaded("batch", str(trained_lot / "lot"), *options, codes=(0, 1))
-    assert not {"scipy.stats", "torch"} & found
+    modules = loaded("batch", str(trained_lot / "lot"), *options, codes=(0, 1))
+    assert not {"scipy.stats", "torch"} & modules
 
 
 PARTS_OF_EXTRA = {

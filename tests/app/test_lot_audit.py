@@ -21,30 +21,30 @@ def _json(tmp_path: Path, *arguments: str) -> tuple[int, dict]:
 @pytest.fixture
 def unaudited(lot_folder: Path) -> tuple[Path, dict[str, str]]:
     """The small lot with its audit recordings set aside."""
-    kept = {path.name: path.read_text() for path in sorted((lot_folder / "audit").iterdir())}
-    for name in kept:
+    audits = {path.name: path.read_text() for path in sorted((lot_folder / "audit").iterdir())}
+    for name in audits:
         (lot_folder / "audit" / name).unlink()
-    return lot_folder, kept
+    return lot_folder, audits
 
 
-def test_the_lot_is_judged_once_every_drawn_unit_was_measured(unaudited, registry_url, tmp_path):
+def test_the_lot_is_decided_once_every_drawn_unit_was_measured(unaudited, registry_url, tmp_path):
     folder, audits = unaudited
     batch = ("batch", str(folder), "--registry", registry_url, *SMALL)
     plan = ("lot", "audit-plan", str(folder), "--registry", registry_url)
     main(["train", str(folder), "--registry", registry_url, "--hidden", "16,8"])
     main(["lot", "limit", "small", "--registry", registry_url, "--rmse", "5", "--reason", "test", "--yes"])
     assert _json(tmp_path, *batch)[1]["audit"] is None
-    _, drawn = _json(tmp_path, *plan, "--doubtful", "1", "--random", "1")
-    asked = [*drawn["plan"]["doubtful"], *drawn["plan"]["random"]]
-    assert len(set(asked)) == 2 and drawn["missing"] == asked and drawn["verdict"] is None
-    for serial in asked:
+    _, plan_report = _json(tmp_path, *plan, "--doubtful", "1", "--random", "1")
+    serials = [*plan_report["plan"]["doubtful"], *plan_report["plan"]["random"]]
+    assert len(set(serials)) == 2 and plan_report["missing"] == serials and plan_report["verdict"] is None
+    for serial in serials:
         (folder / "audit" / f"{serial}.csv").write_text(audits[f"{serial}.csv"])
     _, report = _json(tmp_path, *batch)
     scored = {unit["serial"]: unit["after_rmse"] for unit in report["units"]}
-    assert report["audit"]["measured_rmse"] == {serial: scored[serial] for serial in asked}
+    assert report["audit"]["measured_rmse"] == {serial: scored[serial] for serial in serials}
     # One of two random units, none failed: nothing firm can be said of the other.
     assert report["audit"]["verdict"] == "conditional"
-    assert all(unit["audited"] and unit["verdict"] == "pass" for unit in report["units"] if unit["serial"] in asked)
+    assert all(unit["audited"] and unit["verdict"] == "pass" for unit in report["units"] if unit["serial"] in serials)
     assert _json(tmp_path, *plan)[1]["statement"] == report["audit"]["statement"]
 
 

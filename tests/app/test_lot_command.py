@@ -26,7 +26,7 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def known_lot(tmp_path):
+def registry_with_lot(tmp_path):
     url = f"sqlite:///{tmp_path / 'r.db'}"
     with open_registry(url) as registry:
         registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=0.2))
@@ -34,25 +34,25 @@ def known_lot(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("written", "batches"),
+    ("writes", "batches"),
     [
         ({1: ("A1", ROWS[:200]), 2: ("A1", ROWS), 5: ("A2", ROWS)}, [["A1"], ["A2"]]),
         ({0: ("A1", ROWS), 3: ("A1", ROWS + "2.0,1\n")}, [["A1"], ["A1"]]),
     ],
     ids=["once, when it has stopped growing", "again, when it was replaced"],
 )
-def test_a_recording_is_taken(folder, monkeypatch, written, batches):
-    taken, looks = [], count()
-    monkeypatch.setattr(watch, "run_batch", lambda lot, *_: taken.append(sorted(lot.unit_paths)))
+def test_a_recording_is_taken(folder, monkeypatch, writes, batches):
+    taken_files, looks = [], count()
+    monkeypatch.setattr(watch, "run_batch", lambda lot, *_: taken_files.append(sorted(lot.unit_paths)))
 
     def act(_: float) -> None:
-        serial, rows = written.get(next(looks), ("", ""))
+        serial, rows = writes.get(next(looks), ("", ""))
         if serial:
             (folder / "units" / f"{serial}.csv").write_text(rows)
 
     act(0.0)
     list(watch_lot(folder, None, BatchConfig(), Callbacks(), 1.0, idle_s=3.0, sleep=act))
-    assert taken == batches
+    assert taken_files == batches
 
 
 def test_a_folder_that_is_no_lot_is_named(tmp_path, capsys):
@@ -60,8 +60,8 @@ def test_a_folder_that_is_no_lot_is_named(tmp_path, capsys):
     assert "lot.toml" in capsys.readouterr().err
 
 
-def test_a_limit_needs_a_reason_and_keeps_its_versions(known_lot, capsys):
-    common = ["lot", "limit", "L1", "--registry", known_lot]
+def test_a_limit_needs_a_reason_and_keeps_its_versions(registry_with_lot, capsys):
+    common = ["lot", "limit", "L1", "--registry", registry_with_lot]
     assert main([*common, "--rmse", "0.1"]) == 2 and "--reason" in capsys.readouterr().err
     assert main([*common, "--rmse", "0.1", "--reason", "drawing C", "--yes", "--json", "-"]) == 0
     versions = json.loads(capsys.readouterr().out)["versions"]
@@ -70,18 +70,22 @@ def test_a_limit_needs_a_reason_and_keeps_its_versions(known_lot, capsys):
     assert "0.1" in capsys.readouterr().err
 
 
-def test_rules_of_a_lot_are_set_with_a_reason_and_shown_with_their_versions(known_lot, capsys):
+def test_rules_of_a_lot_are_set_with_a_reason_and_shown_with_their_versions(registry_with_lot, capsys):
     change = ["--target", "6", "--retests", "fail=0", "--reason", "customer allows no second try"]
-    assert main(["lot", "rules", "L1", "--registry", known_lot, *change, "--json", "-"]) == 0
-    shown = json.loads(capsys.readouterr().out)
-    assert (shown["now"]["target"], shown["now"]["retests"]["fail"], shown["now"]["retests"]["retest"]) == (6, 0, 3)
-    assert [entry["reason"] for entry in shown["versions"]] == ["customer allows no second try"]
+    assert main(["lot", "rules", "L1", "--registry", registry_with_lot, *change, "--json", "-"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["now"]["target"], content["now"]["retests"]["fail"], content["now"]["retests"]["retest"]) == (
+        6,
+        0,
+        3,
+    )
+    assert [entry["reason"] for entry in content["versions"]] == ["customer allows no second try"]
 
 
 @pytest.mark.parametrize(
     "wrong", [["--target", "6"], ["--retests", "fail=x", "--reason", "why"], ["--serial-pattern", "A["]]
 )
-def test_senseless_rules_of_a_lot_change_nothing(known_lot, wrong):
-    assert main(["lot", "rules", "L1", "--registry", known_lot, *wrong]) == 2
-    with open_registry(known_lot) as registry:
+def test_senseless_rules_of_a_lot_change_nothing(registry_with_lot, wrong):
+    assert main(["lot", "rules", "L1", "--registry", registry_with_lot, *wrong]) == 2
+    with open_registry(registry_with_lot) as registry:
         assert registry.lots.line_rules_versions("L1") == []

@@ -22,17 +22,17 @@ from softcal.core.recording import OutputRecording
 from softcal.core.unit.estimate import estimate
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from tests.presses import held_presses
+from tests.presses import dwelling_presses
 
 RATE_HZ, UNITS = 50.0, [f"U{k}" for k in range(1, 7)]
 NETWORK = ("--hidden", "16,8", "--no-own")
 
 
 def recorded(force_N: np.ndarray, seed: int) -> pd.DataFrame:
-    own = np.random.default_rng([seed, 7])
-    gain, rest, bend = own.uniform(0.8, 1.2), own.uniform(0.4, 0.6), own.uniform(0.0, 0.02)
+    unit_rng = np.random.default_rng([seed, 7])
+    gain, rest, curvature = unit_rng.uniform(0.8, 1.2), unit_rng.uniform(0.4, 0.6), unit_rng.uniform(0.0, 0.02)
     noise = np.random.default_rng([seed, len(force_N)]).normal(0, 0.0005, len(force_N))
-    output = rest + gain * (0.1 * force_N + bend * force_N**2) + noise
+    output = rest + gain * (0.1 * force_N + curvature * force_N**2) + noise
     return pd.DataFrame({"t_s": np.arange(len(output)) / RATE_HZ, "output": output, "reference": force_N})
 
 
@@ -41,12 +41,12 @@ def press(folder: Path, serial: str, force_N: np.ndarray) -> None:
     recorded(force_N, int(serial[1:]))[["t_s", "output"]].to_csv(folder / f"units/{serial}.csv", index=False)
 
 
-TOGETHER_N = held_presses(9, 2500, 60.0)
+TOGETHER_N = dwelling_presses(9, 2500, 60.0)
 """What the units are pressed with at once: held much longer than the source was."""
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pressed_lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A lot whose units were pressed together under a programme that the source did not have, and its registry."""
     root = tmp_path_factory.mktemp("shared")
     folder = root / "lot"
@@ -56,7 +56,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         'sample_rate_Hz = 50.0\nsource = "S0"\n[lot]\nid = "tuesday"\nsimulated = true\n[reference]\nunit = "N"\n'
         '[output]\nunit = "V"\n[limit]\nrmse = 0.4\n'
     )
-    recorded(held_presses(1, 4000, 2.0), 0).to_csv(folder / "source/S0.csv", index=False)
+    recorded(dwelling_presses(1, 4000, 2.0), 0).to_csv(folder / "source/S0.csv", index=False)
     for serial in UNITS:
         press(folder, serial, TOGETHER_N)
     main(["batch", str(folder), "--registry", f"sqlite:///{root / 'r.db'}", *NETWORK, "--json", str(root / "b.json")])
@@ -64,8 +64,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def lot(made: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(made, tmp_path / "copy"))
+def lot(pressed_lot: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(pressed_lot, tmp_path / "copy"))
 
 
 @pytest.fixture
@@ -131,20 +131,20 @@ def test_a_second_batch_changes_nothing(registry, batch):
 
 def test_pressing_one_unit_changes_that_unit_alone_and_says_what_a_fit_would_change(lot, registry, batch, capsys):
     before = maps(registry)
-    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", dwelling_presses(77, 2500, 60.0))
     report = batch()
     after = maps(registry)
     assert {serial for serial in UNITS if after[serial] != before[serial]} == {"U5"}
     assert len(report["lot_fit"]["open"]) == 5 and report["lot_fit"]["number"] == 2
-    said = " ".join(capsys.readouterr().out.split())
-    assert "lot fit 2 would change maps (units: 5)" in said
-    assert "mapped alone: U5: it shares no load in time with other units" in said
+    text = " ".join(capsys.readouterr().out.split())
+    assert "lot fit 2 would change maps (units: 5)" in text
+    assert "mapped alone: U5: it shares no load in time with other units" in text
     assert decision_in_force(registry, "tuesday").fit.number == 1
 
 
 def test_presses_that_differ_leave_the_maps_and_are_in_every_forecast_until_it_is_withdrawn(lot, registry, run, batch):
     for serial in UNITS:
-        press(lot / "lot", serial, held_presses(9, 2500, 60.0, 0.12, int(serial[1:])))
+        press(lot / "lot", serial, dwelling_presses(9, 2500, 60.0, 0.12, int(serial[1:])))
     report = batch()
     assert sorted(report["lot_fit"]["units"]) == UNITS
     for unit in report["units"]:
@@ -160,18 +160,18 @@ def test_presses_that_differ_leave_the_maps_and_are_in_every_forecast_until_it_i
 
 
 def test_the_line_says_what_a_fit_would_change(lot, registry):
-    away = recorded(held_presses(77, 2500, 60.0), 5)
+    away = recorded(dwelling_presses(77, 2500, 60.0), 5)
     moved = OutputRecording("U5", away["t_s"].to_numpy(), away["output"].to_numpy(), RATE_HZ)
     assert str(open_lot_fit(registry, "tuesday", moved)) == "lot fit 2 would change maps (units: 5)"
     with_them = recorded(TOGETHER_N, 9)
     joined = OutputRecording("U9", with_them["t_s"].to_numpy(), with_them["output"].to_numpy(), RATE_HZ)
     assert str(open_lot_fit(registry, "tuesday", joined)) == "lot fit 2 would change maps (units: 7)"
-    stranger = OutputRecording("U9", away["t_s"].to_numpy(), away["output"].to_numpy(), RATE_HZ)
-    assert open_lot_fit(registry, "tuesday", stranger) is None
+    foreign_unit = OutputRecording("U9", away["t_s"].to_numpy(), away["output"].to_numpy(), RATE_HZ)
+    assert open_lot_fit(registry, "tuesday", foreign_unit) is None
 
 
 def test_a_person_makes_the_next_one_and_is_asked(lot, registry, run, batch, capsys):
-    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", dwelling_presses(77, 2500, 60.0))
     batch()
     before = maps(registry)
     assert run("lot", "fit", "tuesday") == 2
@@ -215,7 +215,7 @@ def test_who_was_pressed_otherwise_is_named(lot, registry, run, batch, capsys):
 
 
 def test_a_fit_that_somebody_else_made_meanwhile_is_not_overwritten(lot, registry, batch):
-    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", dwelling_presses(77, 2500, 60.0))
     batch()
     plan = plan_lot_fit(registry, "tuesday")
     make_lot_fit(registry, plan)
@@ -224,7 +224,7 @@ def test_a_fit_that_somebody_else_made_meanwhile_is_not_overwritten(lot, registr
 
 
 def test_a_unit_that_somebody_else_changed_meanwhile_keeps_its_newest_map(lot, registry, run, batch):
-    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", dwelling_presses(77, 2500, 60.0))
     batch()
     plan, before = plan_lot_fit(registry, "tuesday"), maps(registry)
     assert "U1" in plan.states
@@ -237,7 +237,7 @@ def test_a_unit_that_somebody_else_changed_meanwhile_keeps_its_newest_map(lot, r
 
 
 def test_an_audit_is_scored_by_the_map_of_the_lot(lot, registry, batch):
-    recorded(held_presses(33, 1500, 5.0), 4).to_csv(lot / "lot/audit/U4.csv", index=False)
+    recorded(dwelling_presses(33, 1500, 5.0), 4).to_csv(lot / "lot/audit/U4.csv", index=False)
     report = batch()
     (unit,) = [one for one in report["units"] if one["serial"] == "U4"]
     state = registry.calibrations.get("U4", lot_id="tuesday").state
@@ -255,7 +255,7 @@ def test_one_labelled_recording_of_the_sitting_gives_the_loads_of_all_and_is_no_
     for unit in report["units"]:
         assert unit["knowledge"] == "paired" and not unit["audited"] and unit["after_rmse"] is None
         assert any("U3 was pressed with under the load cell" in why for why in unit["reasons"])
-        test = recorded(held_presses(33, 1500, 5.0), int(unit["serial"][1:]))
+        test = recorded(dwelling_presses(33, 1500, 5.0), int(unit["serial"][1:]))
         output = OutputRecording(unit["serial"], test["t_s"].to_numpy(), test["output"].to_numpy(), RATE_HZ)
         errors = [
             rmse(estimate(network, state, output).estimate, test["reference"].to_numpy())
@@ -276,4 +276,4 @@ def test_a_golden_run_whose_reference_is_not_its_own_is_refused_in_one_line(lot,
     golden["reference"] = golden["reference"].to_numpy()[::-1] + noise_N
     golden.to_csv(lot / "lot/golden/U3.csv", index=False)
     assert run("batch", str(lot / "lot"), *NETWORK) == 2
-    assert "U3" in (said := capsys.readouterr().err) and "does not follow its reference" in said
+    assert "U3" in (stderr := capsys.readouterr().err) and "does not follow its reference" in stderr

@@ -41,7 +41,7 @@ def test_a_units_reference_column_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("toml", "named"),
+    ("toml", "message"),
     [
         (GOOD.replace("A0", "A7"), "'A7'.*A0"),
         (GOOD.replace('id = "x"\n', ""), r"\[lot\] id"),
@@ -51,8 +51,8 @@ def test_a_units_reference_column_is_not_read(tmp_path: Path) -> None:
         (GOOD.replace("50.0", "-1.0"), "-1.0"),
     ],
 )
-def test_a_lot_toml_that_cannot_be_used_is_refused(tmp_path: Path, toml: str, named: str) -> None:
-    with pytest.raises(InputError, match=named):
+def test_a_lot_toml_that_cannot_be_used_is_refused(tmp_path: Path, toml: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         open_lot_folder(_lot(tmp_path, toml))
 
 
@@ -89,17 +89,21 @@ temperature_K = 3
 def test_what_the_source_was_compared_with_is_read_and_written(lot_folder: Path) -> None:
     assert open_lot_folder(lot_folder).reference == SIMULATED
     (lot_folder / "lot.toml").write_text(REFERENCE)
-    found = open_lot_folder(lot_folder)
-    assert not found.remarks and found.reference is not None
-    assert (found.reference.cell, found.reference.uncertainty, found.reference.temperature_K) == ("LC-7", 0.012, 3.0)
-    assert found.reference.traceability is Traceability.VALID
-    for reference in (found.reference, SIMULATED, None):
-        write_lot_toml(lot_folder, found.lot, reference)
+    lot_folder_read = open_lot_folder(lot_folder)
+    assert not lot_folder_read.remarks and lot_folder_read.reference is not None
+    assert (
+        lot_folder_read.reference.cell,
+        lot_folder_read.reference.uncertainty,
+        lot_folder_read.reference.temperature_K,
+    ) == ("LC-7", 0.012, 3.0)
+    assert lot_folder_read.reference.traceability is Traceability.VALID
+    for reference in (lot_folder_read.reference, SIMULATED, None):
+        write_lot_toml(lot_folder, lot_folder_read.lot, reference)
         assert open_lot_folder(lot_folder).reference == reference
 
 
 @pytest.mark.parametrize(
-    ("changed", "named"),
+    ("changed", "message"),
     [
         (("used_on = 2026-06-01", 'used_on = "June"'), "used_on"),
         (("uncertainty = 0.012", "uncertainty = 0"), "uncertainty"),
@@ -108,7 +112,7 @@ def test_what_the_source_was_compared_with_is_read_and_written(lot_folder: Path)
         (('id = "small"', 'id = "small"\nsimulated = "yes"'), "simulated"),
     ],
 )
-def test_a_reference_that_cannot_be_is_refused(lot_folder: Path, changed: tuple[str, str], named: str) -> None:
+def test_a_reference_that_cannot_be_is_refused(lot_folder: Path, changed: tuple[str, str], message: str) -> None:
     (lot_folder / "lot.toml").write_text(REFERENCE.replace(*changed))
-    with pytest.raises(InputError, match=named):
+    with pytest.raises(InputError, match=message):
         open_lot_folder(lot_folder)

@@ -84,15 +84,15 @@ def test_a_loose_cable_is_named_and_the_forecast_stays(
 def test_missing_rows_are_counted_and_too_many_are_a_retest(
     clean: dict[str, dict], lot_folder: Path, registry_url: str, tmp_path: Path
 ) -> None:
-    kept = {
+    kept_rows = {
         "A1": np.r_[0:500, 600:1500],
         "A2": np.r_[0:500, 800:1500],
         "A3": np.r_[0:900, 900:1500:5],
     }
-    for serial, rows in kept.items():
+    for serial, rows in kept_rows.items():
         change(lot_folder, f"units/{serial}.csv", lambda table, rows=rows: table.iloc[rows])
     units = batch(lot_folder, registry_url, tmp_path)[1]
-    few, many, slow = (units[serial] for serial in kept)
+    few, many, slow = (units[serial] for serial in kept_rows)
     assert few["verdict"] == clean["A1"]["verdict"] and few["reason_codes"][0] == "gaps"
     assert "2.02 s" in few["reasons"][0] and "samples missing: 100, 7%" in " ".join(few["reasons"][0].split())
     assert many["verdict"] == slow["verdict"] == "retest"
@@ -110,19 +110,19 @@ def late(table: pd.DataFrame) -> None:
     table["reference"] = table["reference"].shift(25).fillna(0.0)
 
 
-def held(table: pd.DataFrame) -> None:
+def hold_reference(table: pd.DataFrame) -> None:
     table["reference"] = table["reference"].to_numpy()[np.arange(len(table)) // 6 * 6]
 
 
-@pytest.mark.parametrize(("edit", "words"), [(tared, "line 302"), (late, "later"), (held, "8.33 Hz")])
+@pytest.mark.parametrize(("edit", "reason_text"), [(tared, "line 302"), (late, "later"), (hold_reference, "8.33 Hz")])
 @pytest.mark.parametrize("command", ["train", "batch"])
 def test_a_source_whose_reference_labels_nothing_ends_the_command(
-    command: str, edit: Callable, words: str, lot_folder: Path, registry_url: str, capsys: pytest.CaptureFixture
+    command: str, edit: Callable, reason_text: str, lot_folder: Path, registry_url: str, capsys: pytest.CaptureFixture
 ) -> None:
     change(lot_folder, "source/A0.csv", edit)
     assert main([command, str(lot_folder), "--registry", registry_url, "--hidden", "16,8"]) == 2
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "A0.csv" in said and words in said
+    message = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "A0.csv" in message and reason_text in message
 
 
 def test_an_overflow_in_the_force_of_the_source_is_masked_and_blames_no_unit(
@@ -144,14 +144,14 @@ def test_an_overflow_in_the_force_of_the_source_is_masked_and_blames_no_unit(
         assert "wrong_programme" not in set(unit["reason_codes"]) - set(clean[serial]["reason_codes"])
 
 
-@pytest.mark.parametrize(("edit", "words"), [(tared, "line 302"), (late, "later"), (held, "8.33 Hz")])
+@pytest.mark.parametrize(("edit", "message"), [(tared, "line 302"), (late, "later"), (hold_reference, "8.33 Hz")])
 def test_an_audit_whose_reference_labels_nothing_fails_no_unit(
-    edit: Callable, words: str, lot_folder: Path, registry_url: str, tmp_path: Path
+    edit: Callable, message: str, lot_folder: Path, registry_url: str, tmp_path: Path
 ) -> None:
     change(lot_folder, "audit/A1.csv", edit)
     unit = batch(lot_folder, registry_url, tmp_path)[1]["A1"]
     assert unit["verdict"] == "conditional" and not unit["audited"] and unit["after_rmse"] is None
-    assert unit["reason_codes"][0] == "audit.unreadable" and words in unit["reasons"][0]
+    assert unit["reason_codes"][0] == "audit.unreadable" and message in unit["reasons"][0]
 
 
 def test_what_is_masked_is_stored_with_the_recording(lot_folder: Path, registry_url: str, tmp_path: Path) -> None:
@@ -177,11 +177,11 @@ def test_inspect_shows_a_table_and_finds_what_is_in_it(
     table.drop(index=range(1000, 1100)).to_csv(path, index=False)
     columns = ("--output-column", "output_V", "--reference-column", "force_N")
     assert main(["inspect", str(path), *columns, "--json", str(out)]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "50 Hz" in shown and "line 602" in shown and "8388607" in shown and "tared" in shown
-    facts = json.loads(out.read_text())
-    assert facts["schema"] == "softcal.inspection/1" and facts["masked"] == {"overflow": 1}
-    lines = {one["kind"]: one["line"] for one in facts["findings"]}
+    text = " ".join(capsys.readouterr().out.split())
+    assert "50 Hz" in text and "line 602" in text and "8388607" in text and "tared" in text
+    content = json.loads(out.read_text())
+    assert content["schema"] == "softcal.inspection/1" and content["masked"] == {"overflow": 1}
+    lines = {one["kind"]: one["line"] for one in content["findings"]}
     assert lines["overflow"] == 602 and lines["tare"] == 902 and lines["gap"] == 1002
 
 
@@ -217,15 +217,15 @@ def test_a_batch_tells_how_files_were_read_and_what_was_left_out(
         file.write("Stopped by hand\n")
     report = tmp_path / "report.json"
     main(["batch", str(lot_folder), "--registry", registry_url, *SMALL, "--json", str(report)])
-    told, said = json.loads(report.read_text()), capsys.readouterr()
+    content, printed = json.loads(report.read_text()), capsys.readouterr()
     layout = "semicolons; decimal comma; header in line 3; units in line 4"
-    assert {name for name, one in told["layouts"].items() if one == layout} == {
+    assert {name for name, one in content["layouts"].items() if one == layout} == {
         f"{source}.csv", "units/A1.csv", "units/A2.csv",
     }  # fmt: skip
-    assert told["layouts"]["units/A3.csv"] == ""
-    assert said.err.count(layout) == 1 and f"{source}.csv and 2 more" in said.err
-    assert any("units/A2.csv" in remark and "Stopped by hand" in remark for remark in told["remarks"])
-    assert "Stopped by hand" in said.out + said.err
+    assert content["layouts"]["units/A3.csv"] == ""
+    assert printed.err.count(layout) == 1 and f"{source}.csv and 2 more" in printed.err
+    assert any("units/A2.csv" in remark and "Stopped by hand" in remark for remark in content["remarks"])
+    assert "Stopped by hand" in printed.out + printed.err
 
 
 def test_an_audit_in_another_unit_or_of_another_sign_is_named_at_every_entry_point(
@@ -238,14 +238,14 @@ def test_an_audit_in_another_unit_or_of_another_sign_is_named_at_every_entry_poi
         table = pd.read_csv(lot_folder / f"audit/{serial}.csv")
         table.assign(reference=table["reference"] * factor).to_csv(lot_folder / f"audit/{serial}.csv", index=False)
 
-    def named(text: str) -> None:
+    def check_named(text: str) -> None:
         for serial, (word, _) in changes.items():
             assert [line for line in text.splitlines() if serial in line and word in line], text
 
     report = tmp_path / "report.json"
     main(["batch", str(lot_folder), "--registry", registry_url, *SMALL, "--json", str(report)])
     capsys.readouterr()
-    named("\n".join(json.loads(report.read_text())["remarks"]))
+    check_named("\n".join(json.loads(report.read_text())["remarks"]))
 
     for serial, (word, _) in changes.items():
         main(["inspect", str(lot_folder / f"audit/{serial}.csv"), "--source", str(source)])
@@ -256,6 +256,6 @@ def test_an_audit_in_another_unit_or_of_another_sign_is_named_at_every_entry_poi
     files = [str(source), *(str(lot_folder / f"audit/{serial}.csv") for serial in changes)]
     imported = ["import", *files, "--source", source.stem, "--reference-column", "reference", "--audit"]
     main([*imported, "--out", str(tmp_path / "lot-2"), "--sample-rate", "50"])
-    named(capsys.readouterr().err)
+    check_named(capsys.readouterr().err)
     main(["lot", "audit", str(lot_folder), *files[1:], "--reference-column", "reference"])
-    named(capsys.readouterr().err)
+    check_named(capsys.readouterr().err)

@@ -24,7 +24,7 @@ from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from tests.app.pdf_text import read_text
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 
 
 def button(screen, key: str):
@@ -32,7 +32,7 @@ def button(screen, key: str):
     return next((one for one in screen.button if one.label == text("en", key)), None)
 
 
-def done(url: str, kind: str, request: dict[str, object]):
+def do_job(url: str, kind: str, request: dict[str, object]):
     """Do one job and return it with what it left."""
     with open_registry(url) as registry:
         job_id = registry.job_board.place(kind, request, "Erin")
@@ -56,17 +56,17 @@ def test_the_ways_to_begin_give_way_to_the_table_once_there_is_a_lot(calibrated:
 @pytest.fixture
 def demo_lot(trained_lot: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The demo presses a small lot that is there; how many units it was asked for."""
-    pressed: list[int] = []
+    presses: list[int] = []
 
     def press(config, folder: Path, on_run):
-        pressed.append(config.units)
+        presses.append(config.units)
         shutil.copytree(trained_lot / "lot", folder)
         (folder / "lot.toml").write_text((folder / "lot.toml").read_text().replace('"small"', '"demo"'))
         on_run("source")
         return open_lot_folder(folder)
 
     monkeypatch.setattr("softcal.app.line.demo.press_demo_lot", press)
-    return pressed
+    return presses
 
 
 @pytest.mark.long
@@ -78,10 +78,12 @@ def test_the_demo_ends_on_the_page_of_its_lot_for_who_is_alone(
     screen.button(key="demo").click().run(timeout=300)
     with open_registry(url) as registry:
         assert registry.lots.ids() == ["demo"] and demo_lot == [4]
-        judged = sum(count for verdict, count in registry.pages.verdict_counts("demo").items() if verdict != "none")
+        decided_units = sum(
+            count for verdict, count in registry.pages.verdict_counts("demo").items() if verdict != "none"
+        )
     assert not screen.exception and screen.title[0].value == text("en", "page.lot")
     assert screen.selectbox(key="choose-lot").value == "demo"
-    assert judged and f"{judged} / {judged}" in {metric.value for metric in screen.metric}
+    assert decided_units and f"{decided_units} / {decided_units}" in {metric.value for metric in screen.metric}
     # Whoever comes back finds it, and the other ways to begin beside it.
     assert {"demo-open", "start-files"} <= {button.key for button in open_page(url).button}
 
@@ -97,7 +99,7 @@ def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_wi
     tmp_path: Path, lot_folder: Path, show, jobs_at_once: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lot_intake, "network_of", lambda *_: NetworkConfig(hidden=(8,), max_epochs=5))
-    gone: list[str] = []
+    deleted: list[str] = []
     url = f"sqlite:///{tmp_path / 'new.db'}"
     screen = show(url, "lots", tab="files")
     broken = ("A3.csv", b"t_s,output\n0,1\n0.02,abc\n", "text/csv")
@@ -108,9 +110,9 @@ def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_wi
     rows = screen.table[0].value
     why = {row.iloc[0]: row.iloc[-1] for _, row in rows.iterrows()}
     assert "abc" in why["A3.csv"] and why["A4.csv"] and str(tmp_path) not in why["A4.csv"]
-    monkeypatch.setattr("streamlit.switch_page", lambda page, **_: gone.append(page.url_path))
+    monkeypatch.setattr("streamlit.switch_page", lambda page, **_: deleted.append(page.url_path))
     button(screen, "new_lot.do").click().run(timeout=300)
-    assert not screen.exception and not screen.error and gone == ["lot"]
+    assert not screen.exception and not screen.error and deleted == ["lot"]
     with open_registry(url) as registry:
         counts = registry.pages.verdict_counts("mine")
         assert sum(counts.values()) == 2 and counts["none"] == 0
@@ -178,10 +180,10 @@ def test_one_column_per_unit_is_taken_too(tmp_path: Path, show, press_unit) -> N
 def test_a_lot_that_is_calibrated_again_computes_nothing_anew(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
         assert network_of(registry, "small").hidden == (16, 8)
-    done(calibrated, "calibrate", {"lot": "small"})
+    do_job(calibrated, "calibrate", {"lot": "small"})
     with open_registry(calibrated) as registry:
         before = {unit.serial: unit.revision for unit in registry.lots.units("small")}
-    job = done(calibrated, "calibrate", {"lot": "small"})
+    job = do_job(calibrated, "calibrate", {"lot": "small"})
     assert (job.result["new"], job.result["known"]) == (0, 4)
     with open_registry(calibrated) as registry:
         assert {unit.serial: unit.revision for unit in registry.lots.units("small")} == before
@@ -191,8 +193,8 @@ def test_a_lot_out_of_the_registry_has_the_recordings_bit_by_bit(calibrated: str
     with open_registry(calibrated) as registry, lot_files(registry, "small", lambda *_: None) as folder:
         assert set(folder.unit_paths) == {"A1", "A2", "A3", "A4"}
         for serial in folder.unit_paths:
-            (kept,) = registry.recordings.of_lot("small", serial, "unit")
-            assert folder.read_unit(serial).sha256 == kept.sha256
+            (entry,) = registry.recordings.of_lot("small", serial, "unit")
+            assert folder.read_unit(serial).sha256 == entry.sha256
         (source,) = registry.recordings.of_lot("small", kind="source")
         assert folder.read_source().sha256 == source.sha256
 
@@ -200,23 +202,23 @@ def test_a_lot_out_of_the_registry_has_the_recordings_bit_by_bit(calibrated: str
 @pytest.mark.long
 def test_the_archive_of_a_lot_is_whole_and_says_what_is_not_in_it(calibrated: str, tmp_path: Path) -> None:
     request = {"lot": "small", "serials": None, "formats": ["json", "pdf", "blob"], "release": "pass"}
-    job = done(calibrated, "archive", request)
+    job = do_job(calibrated, "archive", request)
     with zipfile.ZipFile(io.BytesIO(archive_path(job).read_bytes())) as pack_reasons:
         pack_reasons.extractall(tmp_path / "files")
-    found = check_folder(tmp_path / "files", None)
-    assert not found.problems
+    report = check_folder(tmp_path / "files", None)
+    assert not report.problems
     with open_registry(calibrated) as registry:
         passed = {u.serial for u in registry.lots.units("small") if u.verdict == "pass"}
-        kept = {u.serial for u in registry.lots.units("small") if u.revision is not None and u.role == "target"}
+        serials = {u.serial for u in registry.lots.units("small") if u.revision is not None and u.role == "target"}
         assert registry.trail.rows()[-1].actor == "Erin"
     names = {path.name for path in (tmp_path / "files").iterdir()}
-    assert {name for name in names if name.endswith(".pdf")} and job.result["units"] == len(kept)
-    assert {serial for serial, _ in job.result["refused"]} == kept - passed
+    assert {name for name in names if name.endswith(".pdf")} and job.result["units"] == len(serials)
+    assert {serial for serial, _ in job.result["refused"]} == serials - passed
     assert len([name for name in names if name.endswith(".ssc") and name.startswith("unit-")]) == len(passed)
 
 
 def test_an_archive_is_offered_only_while_its_lot_is_as_it_was_packed(calibrated: str, show) -> None:
-    done(calibrated, "archive", {"lot": "small", "serials": None, "formats": ["json"], "release": "pass"})
+    do_job(calibrated, "archive", {"lot": "small", "serials": None, "formats": ["json"], "release": "pass"})
 
     def is_offered() -> bool:
         screen = show(calibrated, "lot", lot="small", tab="release")
@@ -233,17 +235,17 @@ def test_what_the_form_of_the_laboratory_says_stands_on_the_certificate(calibrat
     with open_registry(calibrated) as registry:
         registry.stations.add_certificate(certificate, actor="test")
     screen = show(calibrated, "settings", tab="laboratory")
-    stated = {"laboratory-name": "Haptics Lab", "laboratory-country": "KR"}
-    stated |= {"customer-name": "Beispiel GmbH", "person-name": "Kim Ji-woo"}
-    for field, typed in stated.items():
+    form = {"laboratory-name": "Haptics Lab", "laboratory-country": "KR"}
+    form |= {"customer-name": "Beispiel GmbH", "person-name": "Kim Ji-woo"}
+    for field, typed in form.items():
         screen.text_input(key=f"laboratory-{field}").set_value(typed)
     screen.selectbox(key="laboratory-cell").set_value("LC-9")
     button(screen, "laboratory.save").click().run()
     assert screen.success and not screen.error
     with open_registry(calibrated) as registry:
-        stated = registry_laboratory(registry)
-    assert (stated.laboratory.name, stated.load_cell.due_on) == ("Haptics Lab", date(2027, 1, 2))
-    job = done(calibrated, "archive", {"lot": "small", "serials": ["A1"], "formats": ["pdf"], "release": "pass"})
+        form = registry_laboratory(registry)
+    assert (form.laboratory.name, form.load_cell.due_on) == ("Haptics Lab", date(2027, 1, 2))
+    job = do_job(calibrated, "archive", {"lot": "small", "serials": ["A1"], "formats": ["pdf"], "release": "pass"})
     with zipfile.ZipFile(archive_path(job)) as pack_reasons:
         pdf = next(name for name in pack_reasons.namelist() if name.endswith(".pdf"))
         read = read_text(pack_reasons.read(pdf))

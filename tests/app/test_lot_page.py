@@ -20,22 +20,22 @@ from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.unit.verdict import Verdict
 from softcal.db.connection import open_registry
 from softcal.db.entries import RunEntry
-from softcal.db.queues.order_queue import Pressed
+from softcal.db.queues.order_queue import UnitPress
 from tests.app.pdf_text import read_text
 
 DAY = timedelta(days=1)
 MONDAY = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 
 
-say = partial(text, "en")
+translate = partial(text, "en")
 
 
 def run(serial: str, at: datetime, verdict: str = "pass") -> RunEntry:
     return RunEntry(serial, at, verdict, ())
 
 
-def press(serial: str, station: str, actor: str, at: datetime) -> Pressed:
-    return Pressed(serial, station, actor, at, at + timedelta(minutes=1))
+def press(serial: str, station: str, actor: str, at: datetime) -> UnitPress:
+    return UnitPress(serial, station, actor, at, at + timedelta(minutes=1))
 
 
 def test_a_result_stands_where_its_unit_was_pressed_last_before_it() -> None:
@@ -46,8 +46,8 @@ def test_a_result_stands_where_its_unit_was_pressed_last_before_it() -> None:
     ]
     late = timedelta(minutes=1)
     runs = [run("U1", MONDAY + late), run("U1", MONDAY + DAY), run("U1", MONDAY + 2 * DAY + late), run("U3", MONDAY)]
-    found = [(one.station, one.operator) for one in attribute_runs(runs, presses)]
-    assert found == [("line-1", "Kim"), ("line-1", "Kim"), ("line-2", "Oh"), (FROM_FILE, FROM_FILE)]
+    attributed = [(one.station, one.operator) for one in attribute_runs(runs, presses)]
+    assert attributed == [("line-1", "Kim"), ("line-1", "Kim"), ("line-2", "Oh"), (FROM_FILE, FROM_FILE)]
 
 
 def test_a_unit_counts_once_on_the_day_and_at_the_station_of_its_first_run() -> None:
@@ -62,7 +62,7 @@ def test_a_unit_counts_once_on_the_day_and_at_the_station_of_its_first_run() -> 
 
 
 @pytest.mark.parametrize(
-    ("wanted", "takes"),
+    ("lot_filter", "takes"),
     [
         (LotFilter(), True),
         (LotFilter(since=date(2026, 5, 4), until=date(2026, 5, 4), zone=UTC), True),
@@ -77,9 +77,9 @@ def test_a_unit_counts_once_on_the_day_and_at_the_station_of_its_first_run() -> 
         (LotFilter(stations=("line-1",), operators=("Kim",), until=date(2026, 5, 4)), True),
     ],
 )
-def test_a_filter_takes_what_it_says(wanted: LotFilter, takes: bool) -> None:
+def test_a_filter_takes_what_it_says(lot_filter: LotFilter, takes: bool) -> None:
     (one,) = attribute_runs([run("U1", MONDAY)], [press("U1", "line-1", "Kim", MONDAY - DAY)])
-    assert wanted.takes(one) is takes
+    assert lot_filter.takes(one) is takes
 
 
 @pytest.fixture
@@ -140,29 +140,29 @@ def test_a_band_that_was_hardly_pressed_has_no_error() -> None:
 
 def test_limits_are_drawn_and_named_and_units_stand_at_the_axes() -> None:
     for draw in (estimate_over_reference, error_over_load):
-        figure = draw(audited(), LIGHT, say)
-        named = [trace.name for trace in figure.data] + [note.text for note in figure.layout.annotations]
-        assert any("limit 0.2 N" in str(name) for name in named)
+        figure = draw(audited(), LIGHT, translate)
+        labels = [trace.name for trace in figure.data] + [note.text for note in figure.layout.annotations]
+        assert any("limit 0.2 N" in str(name) for name in labels)
         assert "[N]" in figure.layout.xaxis.title.text and "[N]" in figure.layout.yaxis.title.text
-        without = draw(audited(None), LIGHT, say)
+        without = draw(audited(None), LIGHT, translate)
         assert not any("limit" in str(trace.name) for trace in without.data)
 
 
 def test_audited_units_are_scored_on_the_stretch_their_error_is_stated_on(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
         view = lot_view(registry, "small")
-        found = audited_view(registry, view.lot, view.audited)
-    assert found is not None and view.audited
-    stated = {row.serial: row.after_rmse for row in view.audited}
-    for unit in found.units:
+        audits = audited_view(registry, view.lot, view.audited)
+    assert audits is not None and view.audited
+    rmse = {row.serial: row.after_rmse for row in view.audited}
+    for unit in audits.units:
         assert float(np.sqrt(np.mean((unit.estimate - unit.reference) ** 2))) == pytest.approx(
-            stated[unit.serial], rel=1e-6
+            rmse[unit.serial], rel=1e-6
         )
 
 
 def test_the_axis_of_a_yield_says_of_how_many_units_it_is() -> None:
     runs = attribute_runs([run("U1", MONDAY), run("U2", MONDAY, "fail")], [])
-    figure = yield_figure(yield_over(runs, lambda one: one.station), "station", LIGHT, say)
+    figure = yield_figure(yield_over(runs, lambda one: one.station), "station", LIGHT, translate)
     assert "1 of 2" in figure.layout.xaxis.ticktext[0]
     assert figure.data[0].y[0] == pytest.approx(50.0)
 
@@ -173,17 +173,17 @@ def test_the_report_holds_what_the_page_says(calibrated: str, language: str) -> 
         view = lot_view(registry, "small")
         pdf = lot_report_pdf(registry, view, language, MONDAY)
         assert pdf == lot_report_pdf(registry, view, language, MONDAY)
-    told = read_text(pdf)
-    assert text(language, "lot.first_pass").replace(" ", "") in told.replace(" ", "")
-    assert f"{view.decided}/{view.total}" in told.replace(" ", "")
-    assert "A4" in told
+    pdf_text = read_text(pdf)
+    assert text(language, "lot.first_pass").replace(" ", "") in pdf_text.replace(" ", "")
+    assert f"{view.decided}/{view.total}" in pdf_text.replace(" ", "")
+    assert "A4" in pdf_text
 
 
 def test_lots_stand_side_by_side(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
         view = lot_view(registry, "small")
-        rows = lot_rows([view, view], say)
-    assert all(set(row) == {say("compare.fact.lot"), "small"} for row in rows)
+        rows = lot_rows([view, view], translate)
+    assert all(set(row) == {translate("compare.fact.lot"), "small"} for row in rows)
     screen = show(calibrated, "lot", tab="compare", lot="small")
     assert not screen.exception and not screen.error
     assert "small" in list(screen.table[0].value.columns)

@@ -22,7 +22,7 @@ from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConf
 from softcal.station.record.recording import Alignment, StationRecording
 
 CELL = CellCertificate("LC-7", "D-K-1", "DAkkS", date(2026, 1, 1), date(2028, 1, 1), 10.0, 0.012)
-NAMED = '[reference]\nunit = "N"\ncell = "LC-7"\nused_on = {used_on}\n'
+REFERENCE_TOML = '[reference]\nunit = "N"\ncell = "LC-7"\nused_on = {used_on}\n'
 
 
 def restated(folder: Path, reference: str) -> None:
@@ -32,7 +32,7 @@ def restated(folder: Path, reference: str) -> None:
     (folder / "lot.toml").write_text(f'{top}{reference}[output]\nunit = "V"\n{limit}')
 
 
-def judged(folder: Path, url: str) -> tuple[set[str], str]:
+def calibrate_lot(folder: Path, url: str) -> tuple[set[str], str]:
     """Calibrate the lot; the verdicts of its units, and the code of the first reason of A1."""
     main(["batch", str(folder), "--registry", url, "--hidden", "16,8", "--no-own"])
     with open_registry(url) as registry:
@@ -41,17 +41,17 @@ def judged(folder: Path, url: str) -> tuple[set[str], str]:
 
 
 def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(lot_folder: Path, registry_url: str) -> None:
-    assert judged(lot_folder, registry_url)[0] == {"pass"}
-    restated(lot_folder, NAMED.format(used_on="2026-06-01"))
-    assert judged(lot_folder, registry_url) == ({"conditional"}, "reference_missing")
+    assert calibrate_lot(lot_folder, registry_url)[0] == {"pass"}
+    restated(lot_folder, REFERENCE_TOML.format(used_on="2026-06-01"))
+    assert calibrate_lot(lot_folder, registry_url) == ({"conditional"}, "reference_missing")
     with open_registry(registry_url) as registry:
         registry.stations.add_certificate(CELL)
-    assert judged(lot_folder, registry_url)[0] == {"pass"}
-    restated(lot_folder, NAMED.format(used_on="2028-06-01"))
-    assert judged(lot_folder, registry_url) == ({"conditional"}, "reference_expired")
+    assert calibrate_lot(lot_folder, registry_url)[0] == {"pass"}
+    restated(lot_folder, REFERENCE_TOML.format(used_on="2028-06-01"))
+    assert calibrate_lot(lot_folder, registry_url) == ({"conditional"}, "reference_expired")
     rough = 'certificate = "D-K-2"\ndue_on = 2028-01-01\nuncertainty = 5\n'
-    restated(lot_folder, NAMED.format(used_on="2026-06-01") + rough)
-    assert judged(lot_folder, registry_url) == ({"conditional"}, "reference_uncertain")
+    restated(lot_folder, REFERENCE_TOML.format(used_on="2026-06-01") + rough)
+    assert calibrate_lot(lot_folder, registry_url) == ({"conditional"}, "reference_uncertain")
     with open_registry(registry_url) as registry:
         fit = registry.calibrations.get("A1").state.fit
         assert fit.reference == lot_reference(registry, "small")
@@ -63,10 +63,10 @@ def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path
     with open_registry(registry_url) as registry:
         assert lot_reference(registry, "small") == SIMULATED == declare_reference(registry, "small", None, recording)
         assert reference_expanded(registry, "small") == 0.0
-        named = declare_reference(registry, "small", Reference(cell="LC-7"), recording)
+        reference = declare_reference(registry, "small", Reference(cell="LC-7"), recording)
         (source,) = registry.recordings.of_lot("small", kind="source")
-        assert named is not None and named.traceability is Traceability.MISSING
-        assert named.used_on == source.added_at.date()
+        assert reference is not None and reference.traceability is Traceability.MISSING
+        assert reference.used_on == source.added_at.date()
         registry.stations.add_certificate(replace(CELL, issued_on=date(2020, 1, 1), due_on=date(2021, 1, 1)))
         late = declare_reference(registry, "small", Reference(cell="LC-7"), recording)
         assert late is not None and late.traceability is Traceability.EXPIRED
@@ -89,21 +89,21 @@ def test_a_source_pressed_on_a_station_is_traced_to_its_load_cell(lot_folder: Pa
         small = NetworkConfig(hidden=(4,), max_epochs=2)
         run_store = RunStore(registry, "s1", small, reference=Reference(cell="LC-7"))
         run_store.store(Order("o1", "s1", OrderKind.SOURCE, "A0", "L1"), run, lambda progress: None)
-        found = lot_reference(registry, "L1")
-    assert found is not None and (found.traceability, found.certificate, found.capacity) == (
+        reference = lot_reference(registry, "L1")
+    assert reference is not None and (reference.traceability, reference.certificate, reference.capacity) == (
         Traceability.VALID,
         "D-K-1",
         10.0,
     )
-    assert found.used_on == datetime.now(UTC).date()
+    assert reference.used_on == datetime.now(UTC).date()
 
 
 @pytest.mark.parametrize("is_named", [True, False])
 def test_a_station_says_what_its_sources_are_compared_with(is_named: bool) -> None:
     config = StationConfig(StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="LC-7" if is_named else ""))
-    found = station_reference(config)
-    assert found is not None and found.traceability is Traceability.MISSING
-    assert (found.cell == "LC-7") == is_named
+    reference = station_reference(config)
+    assert reference is not None and reference.traceability is Traceability.MISSING
+    assert (reference.cell == "LC-7") == is_named
     assert station_reference(replace(config, force=None)) is None
 
 
@@ -116,14 +116,14 @@ def test_paper_vouches_for_nothing_that_the_lot_does_not(lot_folder: Path, tmp_p
 
     def certificates(reference: str) -> tuple[int, str]:
         restated(lot_folder, f"{reference}[limit]\nrmse = 0.5\n")
-        assert judged(lot_folder, url)[0] == {"pass"}
+        assert calibrate_lot(lot_folder, url)[0] == {"pass"}
         out = ["--format", "dcc", "--laboratory", str(laboratory), "--out", str(tmp_path / "out")]
         code = main(["export", "--registry", url, "--serial", "A1", *out])
         return code, (tmp_path / "out" / "certificate-A1.xml").read_text()
 
     code, text = certificates('[reference]\nunit = "N"\n')
     assert code == 0 and "<dcc:traceable>false" in text and "<dcc:conformity>" not in text
-    stated = NAMED.format(used_on="2026-06-01") + "due_on = 2028-01-01\nuncertainty = 0.012\n"
-    code, text = certificates(stated + 'certificate = "D-K-1"\n')
+    toml_text = REFERENCE_TOML.format(used_on="2026-06-01") + "due_on = 2028-01-01\nuncertainty = 0.012\n"
+    code, text = certificates(toml_text + 'certificate = "D-K-1"\n')
     assert code == 0 and "<dcc:traceable>true" in text and "<dcc:conformity>pass" in text
-    assert certificates(stated + 'certificate = "D-K-2"\n')[0] == 2
+    assert certificates(toml_text + 'certificate = "D-K-2"\n')[0] == 2

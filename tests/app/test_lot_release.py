@@ -54,18 +54,18 @@ def registry(registry_url: str) -> Iterator[Registry]:
 def batch(registry_url: str, tmp_path: Path) -> Callable[..., dict]:
     """`batch(folder, *more)`: calibrate a lot and return the report."""
 
-    drawn: set[Path] = set()
+    audit_files: set[Path] = set()
 
     def run(folder: Path, *more: str) -> dict:
         """The first time, units are fitted without their audits and drawn: a sample is drawn before it is measured."""
         file, audits, away = tmp_path / "batch.json", folder / "audit", tmp_path / f"{folder.name}-measured"
-        if folder not in drawn and audits.is_dir() and any(audits.iterdir()):
+        if folder not in audit_files and audits.is_dir() and any(audits.iterdir()):
             audits.rename(away)
             main(["batch", str(folder), "--registry", registry_url, *SMALL])
             plan = ["lot", "audit-plan", str(folder), "--random", "99", "--registry", registry_url]
             assert main(plan) == 0
             away.rename(audits)
-        drawn.add(folder)
+        audit_files.add(folder)
         assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(file), *more]) in (0, 1)
         return json.loads(file.read_text())
 
@@ -158,10 +158,11 @@ def test_whoever_brings_audits_or_calls_a_batch_is_told_which_released_units_are
     bring = ["lot", "audit", "large", str(measured), "--registry", registry_url, "--json", "-"]
     assert main(bring) == 0
     changes = json.loads(capsys.readouterr().out)["changes"]
-    told = {row["serial"] for row in changes["changed"] if row["verdict"] == "pass"}
+    withdrawn = {row["serial"] for row in changes["changed"] if row["verdict"] == "pass"}
     now = {unit.serial for unit in registry.lots.units("large") if unit.verdict == "pass"}
     assert (
-        released[0] in told and told == {unit["serial"] for unit in report["units"] if unit["verdict"] == "pass"} - now
+        released[0] in withdrawn
+        and withdrawn == {unit["serial"] for unit in report["units"] if unit["verdict"] == "pass"} - now
     )
     (folder / "lot.toml").write_text((folder / "lot.toml").read_text().replace("rmse = 0.8", "rmse = 0.03"))
     report = batch(folder)
@@ -203,10 +204,12 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     assert np.allclose(second.interval.half_width, np.hypot(scaled, widened.added))
     audited = [unit["serial"] for unit in report["units"] if unit["audited"]]
     read = [unit.calibration.state.audit for unit in registry.pages.unit_statuses("large", audited).values()]
-    asked = fit_interval_inflation(
+    inflation = fit_interval_inflation(
         [AuditedSamples(np.array(one.residual), np.array(one.half)) for one in read], 0.9, Method().release
     )
-    assert (widened.scale, widened.added) == pytest.approx((asked.scale, asked.added)) and asked != IntervalInflation()
+    assert (widened.scale, widened.added) == pytest.approx(
+        (inflation.scale, inflation.added)
+    ) and inflation != IntervalInflation()
     assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.release.scale)
     # What is promised of it is the bound that the audits give, not their mean.
     assert second.forecast.upper == pytest.approx(first.predicted_rmse * release["factor"])
@@ -253,9 +256,7 @@ def test_without_audits_nothing_passes_and_the_report_says_how_many_to_audit(mak
     assert conditional and all("forecast_only" in {why.code for why in unit.reasons} for unit in conditional)
 
 
-def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off_its_maps(
-    make_lot, batch, registry, tmp_path
-):
+def test_the_common_bias_of_audits_of_another_day_is_taken_off_the_maps(make_lot, batch, registry, tmp_path):
     folder = make_lot(day_gain=1.2, limit_N=0.4, audits=10)
     report = batch(folder, "--out", str(tmp_path / "out"))
     units = {unit["serial"]: unit for unit in report["units"]}
@@ -307,9 +308,9 @@ def test_a_lot_without_enough_audits_releases_nobody_and_one_of_two_is_left_as_i
 
 def test_more_audits_decide_the_lot_again(make_lot, batch):
     folder = make_lot()
-    kept = sorted((folder / "audit").iterdir())[8:]
-    contents = {path: path.read_text() for path in kept}
-    for path in kept:
+    later_audits = sorted((folder / "audit").iterdir())[8:]
+    contents = {path: path.read_text() for path in later_audits}
+    for path in later_audits:
         path.unlink()
     report = batch(folder)
     assert report["release"]["wanted"] == 1 and _released(report) == []
@@ -338,24 +339,24 @@ def _spoiled(folder: Path, how: str) -> set[str]:
     return {one.stem, other.stem}
 
 
-DOUBTS = {"gf": "doubt.gain", "one recording": "doubt.one_recording", "exchanged": "doubt.exchanged"}
+SUSPICIONS = {"gf": "doubt.gain", "one recording": "doubt.one_recording", "exchanged": "doubt.exchanged"}
 
 
-@pytest.mark.parametrize("how", layered(DOUBTS, ("exchanged",)))
+@pytest.mark.parametrize("how", layered(SUSPICIONS, ("exchanged",)))
 def test_an_audit_that_may_be_wrong_is_set_aside_and_the_rest_of_the_lot_is_worked(make_lot, batch, how):
     folder = make_lot(audits=12)
     wrong = _spoiled(folder, how)
     report = batch(folder)
     units = {unit["serial"]: unit for unit in report["units"]}
     assert {serial for serial, unit in units.items() if unit["verdict"] == "retest"} == wrong
-    assert {units[serial]["reason_codes"][0] for serial in wrong} == {DOUBTS[how]}
+    assert {units[serial]["reason_codes"][0] for serial in wrong} == {SUSPICIONS[how]}
     assert not any(units[serial]["audited"] or units[serial]["released"] for serial in wrong)
     assert report["release"]["audited"] == 12 - len(wrong) and len(_released(report)) == 2
     assert batch(folder)["release"] == report["release"]
 
 
 @pytest.mark.long
-def test_a_person_can_confirm_a_doubted_audit_and_a_new_one_ends_the_doubt(make_lot, batch, registry_url, registry):
+def test_a_person_can_confirm_a_suspect_audit_and_a_new_one_replaces_it(make_lot, batch, registry_url, registry):
     folder = make_lot(audits=12)
     right = (folder / "audit/large-03.csv").read_bytes()
     _spoiled(folder, "gf")
@@ -421,8 +422,8 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, re
     for day, gain in enumerate(gains):
         at = start + timedelta(days=day + 1)
         with open_registry(registry_url, RegistrySettings(clock=lambda at=at: at)) as registry:  # type: ignore[misc]
-            pressed = press_unit(900, gain, 0.5, 70 + day)
-            t_s, output, force_N = (pressed[name].to_numpy() for name in ("t_s", "output", "reference"))
+            table = press_unit(900, gain, 0.5, 70 + day)
+            t_s, output, force_N = (table[name].to_numpy() for name in ("t_s", "output", "reference"))
             golden = LabelledRecording(OutputRecording(serial, t_s, output, 50.0), force_N)
             registry.recordings.add("large", golden, "audit")
             registry.stations.add_golden_run(GoldenRun("line", "large", serial, at, 0.1, "N", True))
@@ -446,7 +447,7 @@ def test_an_account_that_may_not_write_asks_what_stands_released(
     make_lot, batch, registry_url, tmp_path, request, capsys
 ):
     folder, file = make_lot(audits=12), tmp_path / "release.json"
-    told = batch(folder)["release"]
+    release = batch(folder)["release"]
     capsys.readouterr()
 
     def read_only(dialect: object, record: object, arguments: list[str], options: object) -> sqlite3.Connection:
@@ -455,7 +456,7 @@ def test_an_account_that_may_not_write_asks_what_stands_released(
     sqlalchemy_event.listen(Engine, "do_connect", read_only)
     request.addfinalizer(lambda: sqlalchemy_event.remove(Engine, "do_connect", read_only))
     assert main(["lot", "release", "large", "--registry", registry_url, "--json", str(file)]) == 0
-    assert json.loads(file.read_text())["released"] == told["released"] and not capsys.readouterr().err
+    assert json.loads(file.read_text())["released"] == release["released"] and not capsys.readouterr().err
     assert (
         main(["lot", "limit", "large", "--registry", registry_url, "--rmse", "0.3", "--reason", "drawn", "--yes"]) == 4
     )
@@ -469,8 +470,8 @@ def test_the_statement_is_one_page_and_kept_in_the_registry(make_lot, batch, reg
     command = ["lot", "release", str(folder), "--registry", registry_url, "--pdf", str(pdf), "--json", str(file)]
     assert main(command) == 0
     assert pdf.read_bytes().startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
-    told = json.loads(file.read_text())
-    assert told["statement"] in capsys.readouterr().out and len(told["units"]["sampled"]) == 4
+    content = json.loads(file.read_text())
+    assert content["statement"] in capsys.readouterr().out and len(content["units"]["sampled"]) == 4
     assert len(registry.decisions.of_lot("large")) == 1
 
 
@@ -478,18 +479,20 @@ def test_the_statement_says_who_made_it_when_and_from_what_and_not_who_reads_it(
     make_lot, batch, registry_url, monkeypatch, registry, capsys
 ):
     batch(make_lot())
-    (made,) = {one.made_at for one in registry.decisions.of_lot("large") if one.decision["released"]}
+    (made_at,) = {one.made_at for one in registry.decisions.of_lot("large") if one.decision["released"]}
     audits = {f"audit of {serial}": one.sha256 for serial, one in newest_audits(registry, "large").items()}
     monkeypatch.setattr("softcal.app.calibration.release.current_user", lambda: "a reader")
     capsys.readouterr()
     main(["lot", "release", "large", "--registry", registry_url, "--json", "-"])
-    told = json.loads(capsys.readouterr().out)["provenance"]
-    assert told["actor"] != "a reader" and abs(datetime.fromisoformat(told["made_at"]) - made) < timedelta(seconds=2)
-    assert audits.items() <= told["inputs"].items()
+    provenance = json.loads(capsys.readouterr().out)["provenance"]
+    assert provenance["actor"] != "a reader" and abs(
+        datetime.fromisoformat(provenance["made_at"]) - made_at
+    ) < timedelta(seconds=2)
+    assert audits.items() <= provenance["inputs"].items()
     # The page and the programs read the same record.
-    standing = read_lot_status(registry, "large")
-    assert statement_provenance(registry, standing).to_json() == told
-    assert build_lot_statement(registry, standing, standing.decided).provenance.to_json() == told
+    status = read_lot_status(registry, "large")
+    assert statement_provenance(registry, status).to_json() == provenance
+    assert build_lot_statement(registry, status, status.decided).provenance.to_json() == provenance
 
 
 def test_the_plan_draws_as_many_audits_as_the_promise_takes(make_lot, batch, registry_url, tmp_path):
@@ -501,7 +504,7 @@ def test_the_plan_draws_as_many_audits_as_the_promise_takes(make_lot, batch, reg
     assert len(plan["plan"]["random"]) == 10 and not plan["plan"]["doubtful"]
 
 
-def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(make_lot, batch, registry, registry_url):
+def test_a_lot_of_three_is_advised_to_measure_all_or_to_bring_earlier_lots(make_lot, batch, registry, registry_url):
     folder = make_lot(audits=3)
     for path in sorted((folder / "units").iterdir())[3:]:
         path.unlink()
@@ -522,7 +525,7 @@ def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(make_lot
 
 
 @pytest.mark.long
-def test_the_statement_is_said_in_the_language_of_the_reader(make_lot, batch, registry_url, tmp_path, registry):
+def test_the_statement_is_rendered_in_the_language_of_the_reader(make_lot, batch, registry_url, tmp_path, registry):
     folder, korean = make_lot(), partial(text, "ko")
     batch(folder)
     pages = {language: tmp_path / f"{language}.pdf" for language in ("en", "ko")}
@@ -533,9 +536,9 @@ def test_the_statement_is_said_in_the_language_of_the_reader(make_lot, batch, re
     assert pages["en"].read_bytes() != pages["ko"].read_bytes()
     decided = read_lot_status(registry, "large").decided
     assert decided is not None
-    stated = render_reason(decided.statement, korean)
-    assert not re.findall(r"[a-z]{3,}", stated), "words of another language"
-    assert render_reason(decision_in_force(registry, "large").statement, korean) == stated
+    statement_text = render_reason(decided.statement, korean)
+    assert not re.findall(r"[a-z]{3,}", statement_text), "words of another language"
+    assert render_reason(decision_in_force(registry, "large").statement, korean) == statement_text
 
 
 def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch(
@@ -561,7 +564,7 @@ def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch
 
 
 @pytest.mark.long
-def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_one_never_stands(
+def test_another_limit_decides_every_unit_at_once_and_a_verdict_against_an_old_one_never_holds(
     make_lot, batch, registry_url, tmp_path, registry
 ):
     batch(make_lot(), "--out", str(tmp_path / "out"))

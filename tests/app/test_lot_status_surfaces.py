@@ -46,8 +46,8 @@ class History:
         self.draw()
         self.batch()
 
-    def run(self, *words: object) -> int:
-        code = main([*map(str, words), "--registry", self.url])
+    def run(self, *arguments: object) -> int:
+        code = main([*map(str, arguments), "--registry", self.url])
         assert code in (0, 1, 2)
         return code
 
@@ -99,8 +99,8 @@ class History:
         with open_registry(self.url) as registry:
             revisions = [stored.revision for stored in registry.calibrations.history(serial) if not stored.is_current]
         if revisions:
-            words = ["--serial", serial, "--to", self.rng.choice(revisions), "--reason", "drawn", "--yes"]
-            self.run("registry", "rollback", *words)
+            arguments = ["--serial", serial, "--to", self.rng.choice(revisions), "--reason", "drawn", "--yes"]
+            self.run("registry", "rollback", *arguments)
 
     def golden_fails(self) -> None:
         with open_registry(self.url) as registry:
@@ -132,7 +132,7 @@ class History:
         event()
 
 
-def words_of(registry: Registry) -> dict[str, dict[str, str | None]]:
+def verdicts_by_surface(registry: Registry) -> dict[str, dict[str, str | None]]:
     """Return the verdict of every unit as each surface reads it."""
     serials = [unit.serial for unit in registry.lots.units(LOT) if unit.role == "target"]
     unit_statuses = registry.pages.unit_statuses(LOT, serials)
@@ -149,61 +149,65 @@ def words_of(registry: Registry) -> dict[str, dict[str, str | None]]:
 
 def check(history: History, tmp_path: Path) -> None:
     with open_registry(history.url) as registry:
-        words = words_of(registry)
-        truth = words["standings"]
-        for surface, said in words.items():
-            assert {serial: said[serial] for serial in said} == {serial: truth[serial] for serial in said}, surface
-        view, say = lot_view(registry, LOT), partial(text, "en")
-        counted = Counter(truth.values())
+        statuses = verdicts_by_surface(registry)
+        expected_statuses = statuses["standings"]
+        for surface, surface_statuses in statuses.items():
+            assert {serial: surface_statuses[serial] for serial in surface_statuses} == {
+                serial: expected_statuses[serial] for serial in surface_statuses
+            }, surface
+        view, translate = lot_view(registry, LOT), partial(text, "en")
+        counted = Counter(expected_statuses.values())
         for counts in (registry.pages.verdict_counts(LOT), view.counts):
             assert {word: count for word, count in counts.items() if count} == dict(counted)
-        wall = wall_view(registry, view, (), say)
+        wall = wall_view(registry, view, (), translate)
         assert {word: count for word, _, count in wall.verdicts if count} == dict(counted)
-        assert all(chip.word == say(f"verdict.{truth[chip.serial]}") for chip in wall.chips)
+        assert all(chip.word == translate(f"verdict.{expected_statuses[chip.serial]}") for chip in wall.chips)
         assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count == counted["pass"]
         # Nothing passes beyond the limit in force, and nothing is judged by another one.
-        limit, unit_statuses = lot_limit(registry, LOT), registry.pages.unit_statuses(LOT, list(truth))
+        limit, unit_statuses = lot_limit(registry, LOT), registry.pages.unit_statuses(LOT, list(expected_statuses))
         states = {serial: one.calibration.state for serial, one in unit_statuses.items() if one.calibration is not None}
         assert view.limit_rmse == limit.stated_rmse
         for serial, one in states.items():
-            if truth[serial] in ("pass", "conditional") and one.decision.is_audited:
+            if expected_statuses[serial] in ("pass", "conditional") and one.decision.is_audited:
                 assert one.scores.after.rmse <= limit.maximum_rmse, serial
         # Audits are the same number everywhere; one that is set aside counts nowhere.
         audited = {serial for serial, one in states.items() if one.decision.is_audited}
         assert {row.serial for row in view.audited} >= audited
         listed = {row.serial: row.suspect_reason for row in read_lot_status(registry, LOT).audited}
-        assert audited <= {serial for serial, doubt in listed.items() if doubt is None}
-        standing = read_lot_status(registry, LOT)
-        assert standing.counts == registry.pages.verdict_counts(LOT) and standing.limit == limit
-        ways = {way: {unit.serial for unit in standing.on(way)} for way in Disposition}
+        assert audited <= {serial for serial, suspicion in listed.items() if suspicion is None}
+        status = read_lot_status(registry, LOT)
+        assert status.counts == registry.pages.verdict_counts(LOT) and status.limit == limit
+        ways = {way: {unit.serial for unit in status.on(way)} for way in Disposition}
         assert ways[Disposition.MEASURED] | ways[Disposition.SAMPLED] == {
-            serial for serial, word in truth.items() if word == "pass"
+            serial for serial, word in expected_statuses.items() if word == "pass"
         }
-        assert ways[Disposition.MEASURED] <= audited and sum(map(len, ways.values())) == len(words["units"])
+        assert ways[Disposition.MEASURED] <= audited and sum(map(len, ways.values())) == len(statuses["units"])
         # What was released once and is no more is named, whatever took it back.
         history.passed |= ways[Disposition.MEASURED] | ways[Disposition.SAMPLED]
-        assert {unit.serial for unit in standing.withdrawn} >= {s for s in history.passed if truth[s] != "pass"}
+        assert {unit.serial for unit in status.withdrawn} >= {
+            s for s in history.passed if expected_statuses[s] != "pass"
+        }
         alerts = [alert.values["count"] for alert in lot_alerts(view) if alert.kind == "withdrawn"]
-        assert alerts == [len(standing.withdrawn)] * bool(standing.withdrawn)
-        assert all(unit.reasons for unit in (*standing.on(Disposition.WAITING), *standing.withdrawn))
-        decided = standing.decided
+        assert alerts == [len(status.withdrawn)] * bool(status.withdrawn)
+        assert all(unit.reasons for unit in (*status.on(Disposition.WAITING), *status.withdrawn))
+        decided = status.decided
         if decided is not None:
-            build_lot_statement(registry, standing, decided)
+            build_lot_statement(registry, status, decided)
             assert {audit.serial for audit in decided.qualification.lot_audits} <= audited
-            assert set(decided.suspects) == {serial for serial, doubt in listed.items() if doubt is not None}
-            sampled = {s for s, one in states.items() if truth[s] == "pass" and not one.decision.is_audited}
+            assert set(decided.suspects) == {serial for serial, suspicion in listed.items() if suspicion is not None}
+            sampled = {s for s, one in states.items() if expected_statuses[s] == "pass" and not one.decision.is_audited}
             assert sampled <= set(decision_in_force(registry, LOT).released)
         # Files are written for what passes, and for nothing else.
         try:
             exported = set(lot_serials(registry, LOT, ExportOptions()))
         except InputError:
             exported = set()
-        assert exported == {serial for serial, word in truth.items() if word == "pass"}
+        assert exported == {serial for serial, word in expected_statuses.items() if word == "pass"}
         read_line(registry, Screen("line"))
     out = tmp_path / "files"
-    for serial in sorted(truth)[:3]:
+    for serial in sorted(expected_statuses)[:3]:
         code = history.run("export", "--serial", serial, "--format", "blob", "--out", out)
-        assert (code == 0) == (truth[serial] == "pass"), serial
+        assert (code == 0) == (expected_statuses[serial] == "pass"), serial
 
 
 @pytest.mark.parametrize(("seed", "steps"), [(0, 5), *(pytest.param(k, 9, marks=pytest.mark.long) for k in range(31))])

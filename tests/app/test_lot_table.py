@@ -16,9 +16,9 @@ def _folder(folder: Path, toml: str) -> Path:
     for k in range(60):
         lines.append(f"{k / 50:.2f};{0.5 + 0.01 * (k % 20):.3f};{k % 20:.1f}".replace(".", ","))
     lines[12] = lines[12].split(";")[0] + ";OL;1,0"
-    for place in ("source/A0.csv", "units/A1.csv", "audit/A1.csv"):
-        (folder / place).parent.mkdir(parents=True, exist_ok=True)
-        (folder / place).write_text("\n".join(lines) + "\n")
+    for name in ("source/A0.csv", "units/A1.csv", "audit/A1.csv"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("\n".join(lines) + "\n")
     (folder / "lot.toml").write_text(f'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "x"\n{toml}')
     return folder
 

@@ -62,13 +62,13 @@ def test_lot_toml_states_it_and_the_command_outranks_it(lot):
     assert families(batch(lot, "--map", "affine")) == {"affine"}
 
 
-@pytest.mark.parametrize("stated", ['"optimal"', "3", "true"])
-def test_a_family_that_there_is_not_is_refused_in_one_line(lot, capsys, stated):
+@pytest.mark.parametrize("options", ['"optimal"', "3", "true"])
+def test_a_family_that_there_is_not_is_refused_in_one_line(lot, capsys, options):
     toml = lot / "lot/lot.toml"
-    toml.write_text(toml.read_text() + f"[map]\nfamily = {stated}\n")
+    toml.write_text(toml.read_text() + f"[map]\nfamily = {options}\n")
     assert main(["batch", str(lot / "lot"), "--registry", f"sqlite:///{lot / 'r.db'}"]) == 2
     assert "lot.toml" in capsys.readouterr().err
-    if stated.startswith('"'):
+    if options.startswith('"'):
         assert main(["batch", str(lot / "lot"), "--map", "optimal", "--registry", f"sqlite:///{lot / 'r.db'}"]) == 2
         assert "exact" in capsys.readouterr().err
 
@@ -76,8 +76,8 @@ def test_a_family_that_there_is_not_is_refused_in_one_line(lot, capsys, stated):
 def test_the_help_names_every_family_that_is_built_in(capsys):
     with pytest.raises(SystemExit):
         main(["batch", "--help"])
-    words = set(re.findall(r"[a-z_]+", capsys.readouterr().out))
-    assert {"auto", *BUILTIN_FAMILIES} <= words
+    help_words = set(re.findall(r"[a-z_]+", capsys.readouterr().out))
+    assert {"auto", *BUILTIN_FAMILIES} <= help_words
 
 
 def test_a_job_takes_it_and_the_line_maps_by_it(lot, monkeypatch):
@@ -86,12 +86,12 @@ def test_a_job_takes_it_and_the_line_maps_by_it(lot, monkeypatch):
     monkeypatch.setenv("SOFTCAL_DATA_FOLDER", str(lot / "data"))
     batch(lot)
     with open_registry(f"sqlite:///{lot / 'r.db'}") as registry:
-        placed = registry.job_board.place("calibrate", {"lot": "small", "map": "two_point"}, "Erin", None)
-        assert run_job(registry, placed, lambda: None) == "done"
-        made = [
+        job = registry.job_board.place("calibrate", {"lot": "small", "map": "two_point"}, "Erin", None)
+        assert run_job(registry, job, lambda: None) == "done"
+        fits = [
             registry.calibrations.get(u.serial, lot_id="small").state.fit
             for u in registry.lots.units("small")
             if u.role == "target"
         ]
-        assert {fit.family for fit in made} == {"two_point"}
-        assert {fit.method.id for fit in made} == {lot_method(registry, "small").id}
+        assert {fit.family for fit in fits} == {"two_point"}
+        assert {fit.method.id for fit in fits} == {lot_method(registry, "small").id}

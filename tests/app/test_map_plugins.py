@@ -48,8 +48,8 @@ problem = example_problem()
 fitted = FAMILIES["moments"].fit(problem)
 print(json.dumps([list(FAMILIES)[-1], faults(FAMILIES["moments"]), fitted.gain, fitted.offset]))
 """
-    done = _python(installed, code)
-    name, wrong, gain, offset = json.loads(done.stdout)
+    process = _python(installed, code)
+    name, wrong, gain, offset = json.loads(process.stdout)
     assert (name, wrong) == ("moments", [])
     assert gain == pytest.approx(1.3) and offset == pytest.approx(0.04)
 
@@ -73,8 +73,8 @@ def test_the_example_format_is_written_and_listed(installed, lot_folder, registr
     main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8"])
     out = tmp_path / "files"
     arguments = ["export", "--serial", "A1", "--format", "ini", "--out", str(out), "--registry", registry_url]
-    done = _python(installed, SOFTCAL, *arguments)
-    assert done.returncode == 0, done.stderr
+    process = _python(installed, SOFTCAL, *arguments)
+    assert process.returncode == 0, process.stderr
     assert (out / "unit-A1.ini").read_bytes().startswith(b"[unit]\r\nserial = A1\r\n")
     assert "unit-A1.ini" in (out / "manifest.json").read_text()
     assert _python(installed, SOFTCAL, "export", "--check", "--out", str(out)).returncode == 0
@@ -100,10 +100,10 @@ class Unit:
 
 
 def test_a_plug_in_format_gives_nothing_of_a_unit_that_is_not_released():
-    asked: list[object] = []
+    calls: list[object] = []
     with pytest.raises(UnitRefused):
-        formats._plugin_files(POINT, asked.append, Unit(False))  # type: ignore[arg-type]
-    assert not asked
+        formats._plugin_files(POINT, calls.append, Unit(False))  # type: ignore[arg-type]
+    assert not calls
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ class _Map(AffineMap):
 
 
 @pytest.mark.parametrize(
-    ("fault", "named"),
+    ("fault", "message"),
     [
         ("changes", "recording"),
         ("random", "two fits"),
@@ -174,8 +174,8 @@ class _Map(AffineMap):
         ("settings", "JSON"),
     ],
 )
-def test_the_conformance_kit_finds_a_fault(fault, named):
-    assert any(named in line for line in faults(Careless(fault=fault))) and faults(Careless()) == []
+def test_the_conformance_kit_finds_a_fault(fault, message):
+    assert any(message in line for line in faults(Careless(fault=fault))) and faults(Careless()) == []
 
 
 @pytest.fixture
@@ -186,10 +186,11 @@ def package(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "named"), [("somebody:TAKEN", "'affine'"), ("somebody:BROKEN", "object"), ("no_such_module:X", "no_such")]
+    ("value", "message"),
+    [("somebody:TAKEN", "'affine'"), ("somebody:BROKEN", "object"), ("no_such_module:X", "no_such")],
 )
-def test_a_broken_plug_in_is_one_line(package, value, named):
-    with pytest.raises(InputError, match=f"^.*{named}.*$"):
+def test_a_broken_plug_in_is_one_line(package, value, message):
+    with pytest.raises(InputError, match=f"^.*{message}.*$"):
         PLUGINS.merge_plugins(BUILTIN_FAMILIES, [EntryPoint("x", value, "softcal.maps")])
 
 

@@ -37,7 +37,7 @@ def stamp(path: Path, start: datetime, zone: str = "") -> Path:
     return path
 
 
-def answered(tmp_path: Path, *arguments: str) -> tuple[int, dict]:
+def run_command(tmp_path: Path, *arguments: str) -> tuple[int, dict]:
     file = tmp_path / "answer.json"
     file.unlink(missing_ok=True)
     code = main([*arguments, "--json", str(file)])
@@ -72,17 +72,17 @@ def test_a_sample_measured_before_its_draw_releases_nobody(by, is_since, drawn_l
             path.rename(folder / "audit" / path.name)
     else:
         assert main(bring) == 0
-    _, report = answered(tmp_path, "batch", str(folder), "--registry", registry_url, *SMALL)
+    _, report = run_command(tmp_path, "batch", str(folder), "--registry", registry_url, *SMALL)
     unmeasured = {unit["verdict"] for unit in report["units"] if not unit["audited"]}
     assert unmeasured == ({"pass"} if is_since else {"conditional"})
     capsys.readouterr()
-    _, release = answered(tmp_path, "lot", "release", "large", "--registry", registry_url)
+    _, release = run_command(tmp_path, "lot", "release", "large", "--registry", registry_url)
     sample = release["sample"]
     assert (sample["since"], sample["before"], sample["without_draw"]) == ((10, 0, 0) if is_since else (0, 10, 0))
     assert sample["drawn"] == 14 and sample["drawn_at"].startswith(str(datetime.now(UTC).year))
     main(["lot", "release", "large", "--registry", registry_url])
-    told = capsys.readouterr().out
-    assert f"measured since {sample['since']}, before {sample['before']}, without a draw 0" in told
+    stdout = capsys.readouterr().out
+    assert f"measured since {sample['since']}, before {sample['before']}, without a draw 0" in stdout
 
 
 def test_an_imported_audit_keeps_its_instant_through_folder_registry_and_back(
@@ -95,17 +95,17 @@ def test_an_imported_audit_keeps_its_instant_through_folder_registry_and_back(
         files.append(copy)
     stamp(files[1], started, "+00:00")
     stamp(files[2], started)
-    made = tmp_path / "made"
+    new_folder = tmp_path / "made"
     arguments = ["import", *map(str, files), "--source", "A0", "--sample-rate", "50", "--audit"]
-    arguments += ["--reference-column", "reference", "--limit", "5", "--out", str(made)]
+    arguments += ["--reference-column", "reference", "--limit", "5", "--out", str(new_folder)]
     assert main(arguments) == 0
-    told = capsys.readouterr().err
-    assert told.count("local time of this computer") == 1
-    assert main(["batch", str(made), "--registry", registry_url, *SMALL]) in (0, 1)
+    stderr = capsys.readouterr().err
+    assert stderr.count("local time of this computer") == 1
+    assert main(["batch", str(new_folder), "--registry", registry_url, *SMALL]) in (0, 1)
     expected = {"A1": started, "A2": started - timedelta(hours=9)}
     with open_registry(registry_url) as registry:
-        kept = {serial: entry.measured_at for serial, entry in newest_audits(registry, "made").items()}
-    assert kept == expected
+        instants = {serial: entry.measured_at for serial, entry in newest_audits(registry, "made").items()}
+    assert instants == expected
     assert main(["lot", "folder", "made", "--registry", registry_url, "--out", str(tmp_path / "again")]) == 0
     other = f"sqlite:///{tmp_path / 'other.db'}"
     assert main(["batch", str(tmp_path / "again"), "--registry", other, *SMALL]) in (0, 1)
@@ -158,12 +158,12 @@ def test_parquet_keeps_the_zone_of_its_stamps(calibrated, lot_folder, tmp_path, 
         assert entry != registry_before and entry.measured_at == expected.to_pydatetime()
 
 
-@pytest.mark.parametrize("stated", ["yesterday", "2026-13-01", "0026-11-01", "", "2999-01-01", "99999-01-01"])
-def test_nonsense_and_the_future_are_refused_in_one_line(stated, calibrated, lot_folder, capsys):
+@pytest.mark.parametrize("instant", ["yesterday", "2026-13-01", "0026-11-01", "", "2999-01-01", "99999-01-01"])
+def test_nonsense_and_the_future_are_refused_in_one_line(instant, calibrated, lot_folder, capsys):
     file = str(lot_folder / "audit/A1.csv")
-    assert main(["lot", "audit", "small", file, "--registry", calibrated, "--measured-at", stated]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "--measured-at" in told and (not stated or stated in told)
+    assert main(["lot", "audit", "small", file, "--registry", calibrated, "--measured-at", instant]) == 2
+    stderr = capsys.readouterr().err
+    assert stderr.count("\n") == 1 and "--measured-at" in stderr and (not instant or instant in stderr)
 
 
 @pytest.mark.parametrize("is_folder", [True, False])
@@ -176,7 +176,7 @@ def test_a_files_own_stamp_outranks_what_is_stated_and_contradicts_it(
     lot = str(lot_folder) if is_folder else "small"
     bring = ["lot", "audit", lot, str(file), "--registry", calibrated, "--measured-at"]
     before = (lot_folder / "lot.toml").read_text()
-    code, answer = answered(tmp_path, *bring, "2026-03-05")
+    code, answer = run_command(tmp_path, *bring, "2026-03-05")
     assert code == 2 and answer["audited"] == [] and "2026-03-01" in next(iter(answer["refused"].values()))
     assert (lot_folder / "lot.toml").read_text() == before
     # The day of the stamp, at its beginning.
@@ -197,7 +197,7 @@ def test_stamps_of_the_future_are_refused_and_a_clock_that_was_never_set_says_no
     for start, is_taken in ((datetime.now(UTC) + 3 * DAY, False), (datetime(1970, 1, 1, tzinfo=UTC), True)):
         (file := tmp_path / "A2.csv").write_bytes((lot_folder / "audit/A2.csv").read_bytes())
         stamp(file, start, "Z")
-        code, answer = answered(tmp_path, "lot", "audit", "small", str(file), "--registry", calibrated)
+        code, answer = run_command(tmp_path, "lot", "audit", "small", str(file), "--registry", calibrated)
         assert (answer["audited"] == ["A2"]) is is_taken and (code == 0) is is_taken
 
 
@@ -208,7 +208,7 @@ def test_nobody_makes_a_known_recording_younger_or_older(calibrated, lot_folder,
     file = next(path for path in (lot_folder / "audit").iterdir() if path.stem == serial)
     bring = ["lot", "audit", "small", str(file), "--registry", calibrated, "--measured-at", "2026-03-01"]
     assert main(bring) == 2
-    assert serial in (told := capsys.readouterr().err) and "Traceback" not in told
+    assert serial in (stderr := capsys.readouterr().err) and "Traceback" not in stderr
     with open_registry(calibrated) as registry:
         assert newest_audits(registry, "small")[serial] == entry and audited_sample(registry, "small") == first
 
@@ -219,5 +219,5 @@ def test_lot_toml_with_an_instant_that_is_none_is_refused_in_one_line(lot_folder
         (lot_folder / "lot.toml").write_text(f"{toml}\n[audit]\nA1 = {value}\n")
         capsys.readouterr()
         assert main(["batch", str(lot_folder), "--registry", registry_url, *SMALL]) == 2
-        told = capsys.readouterr().err
-        assert told.count("\n") == 1 and "[audit] A1" in told
+        stderr = capsys.readouterr().err
+        assert stderr.count("\n") == 1 and "[audit] A1" in stderr

@@ -18,7 +18,7 @@ from softcal.app.texts.reasons import PREFIX, render_reason
 from softcal.core.errors import NoReply, SoftcalError
 from softcal.core.messages import rig_sentences
 from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, pack_reasons, plain, reason, root_of
-from softcal.core.operation.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
+from softcal.core.operation.observation import FOLLOWED, JUMPED, ON_HOLD, ON_TRIAL, UNWATCHED
 from softcal.core.operation.uncertainty import (
     JUMP,
     MOVED_WHILE_LEARNT,
@@ -42,7 +42,7 @@ SENTENCES = {
 }
 CODES_OF_DEVICES = (grbl.ALARMS, grbl.ERRORS, zaber.WARNINGS, gcl2.ERRORS)
 ROOT = Path(softcal.core.errors.__file__).parents[1]
-FILES = sorted(path for room in ("station", "app", "db", "core") for path in (ROOT / room).rglob("*.py"))
+FILES = sorted(path for package in ("station", "app", "db", "core") for path in (ROOT / package).rglob("*.py"))
 ERRORS = {"StageOnHold", "Cancelled", "StoppedByHand", "ZeroMoved"} | {
     name
     for name in dir(softcal.core.errors)
@@ -57,7 +57,7 @@ def calls(path: Path) -> Iterator[tuple[ast.Call, str]]:
             yield node, node.func.id
 
 
-def given(call: ast.Call) -> tuple[str, set[str]] | None:
+def code_and_values(call: ast.Call) -> tuple[str, set[str]] | None:
     """Return code and names of the values of a reason that is made in place; None for one that is passed on."""
     # An item of the self-test is given the code of what was found after its device and what was looked at.
     code, *rest = call.args[2:] if ast.unparse(call.func) == "_item" else call.args
@@ -67,11 +67,11 @@ def given(call: ast.Call) -> tuple[str, set[str]] | None:
     names |= {str(keyword.arg) for keyword in call.keywords}
     # `**shared`: whatever else the sentence needs.
     return str(code.value), (names - {"None"}) | (
-        places(ENGLISH.get(str(code.value), "")) if "None" in names else set()
+        placeholders_of(ENGLISH.get(str(code.value), "")) if "None" in names else set()
     )
 
 
-def places(sentence: str) -> set[str]:
+def placeholders_of(sentence: str) -> set[str]:
     """Return the names in the braces of a sentence."""
     return {name for _, name, _, _ in Formatter().parse(sentence) if name}
 
@@ -83,20 +83,20 @@ def test_every_reason_that_is_given_has_its_sentence_and_all_of_its_values() -> 
         for call, name in calls(path)
         if (name in ("reason", "Reason") or (name, path.stem) == ("_item", "self_test"))
         and call.args
-        and (found := given(call)) is not None
-        for code, values in [found]
+        and (reasons_of_call := code_and_values(call)) is not None
+        for code, values in [reasons_of_call]
         # The cure of a setting is given its number where the setting is known.
-        if code not in ENGLISH or (values != places(ENGLISH[code]) and code != "grbl.safe.acceleration")
+        if code not in ENGLISH or (values != placeholders_of(ENGLISH[code]) and code != "grbl.safe.acceleration")
     ]
     assert wrong == []
 
 
-def test_every_sentence_is_said_in_every_language_with_the_same_values() -> None:
+def test_every_sentence_is_rendered_in_every_language_with_the_same_values() -> None:
     other = [
         (language, code)
         for language in LANGUAGES
         for code, sentence in SENTENCES.items()
-        if places(catalogue()[language][f"{PREFIX}{code}"]) != places(sentence)
+        if placeholders_of(catalogue()[language][f"{PREFIX}{code}"]) != placeholders_of(sentence)
     ]
     assert other == []
 
@@ -122,7 +122,7 @@ def test_every_sentence_with_words_is_korean_in_korean(english_in: Callable[[str
 
 
 def test_no_error_of_the_station_is_a_sentence() -> None:
-    written = ast.JoinedStr | ast.Constant
+    text_nodes = ast.JoinedStr | ast.Constant
     raised = [
         call
         for path in FILES
@@ -137,7 +137,7 @@ def test_no_error_of_the_station_is_a_sentence() -> None:
         if isinstance(call.func, ast.Name)
         and call.func.id in ERRORS
         and call.args
-        and isinstance(call.args[0], written)
+        and isinstance(call.args[0], text_nodes)
     ]
     assert sentences == []
 
@@ -173,11 +173,11 @@ GATES = {
 }
 
 
-@pytest.mark.parametrize("facts", GATES.values(), ids=GATES)
-def test_every_condition_of_the_gate_is_said_in_korean(
-    facts: StationStatus, english_in: Callable[[str], list[str]]
+@pytest.mark.parametrize("status", GATES.values(), ids=GATES)
+def test_every_condition_of_the_gate_is_rendered_in_korean(
+    status: StationStatus, english_in: Callable[[str], list[str]]
 ) -> None:
-    conditions = may_run(facts, OrderKind.UNIT).conditions
+    conditions = may_run(status, OrderKind.UNIT).conditions
     assert len(conditions) >= 5
     for condition in conditions:
         assert english_in(render_reason(condition.name, KOREAN) + " " + render_reason(condition.says, KOREAN)) == []
@@ -191,7 +191,7 @@ def test_an_error_is_english_as_text_and_korean_on_a_screen() -> None:
     assert korean == "스테이지 (/dev/ttyACM0): 0.5초 안에 응답 없음; 케이블, 전원, 통신 속도를 확인하십시오"
 
 
-def test_a_cause_within_a_message_is_said_too(english_in: Callable[[str], list[str]]) -> None:
+def test_a_cause_within_a_message_is_reported_too(english_in: Callable[[str], list[str]]) -> None:
     stopped = reason("rig.aborted", why=FAULT, state=Reason("left.lifted"))
     korean = render_reason(reason("rig.stopped", why=stopped), KOREAN)
     assert english_in(korean) == [] and "무부하 값 3 N" in korean and "작업 중단" in korean
@@ -212,10 +212,10 @@ def test_a_number_that_is_none_never_keeps_a_stop_from_being_said(value: float) 
 def test_what_a_station_says_crosses_the_registry_with_its_values(tmp_path: Path) -> None:
     stopped = reason("rig.aborted", why=FAULT, state=Reason("left.lifted"))
     gate = tuple(may_run(BAD, OrderKind.UNIT).conditions)
-    beat = Heartbeat("s1", StationState.STOPPED, NOW, (stopped,), "host:1", gate=gate)
+    heartbeat = Heartbeat("s1", StationState.STOPPED, NOW, (stopped,), "host:1", gate=gate)
     with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
-        registry.order_queue.beat(beat)
-        assert registry.order_queue.heartbeat("s1") == beat
+        registry.order_queue.write_heartbeat(heartbeat)
+        assert registry.order_queue.heartbeat("s1") == heartbeat
     message = Progress("o1", RunState.ERROR, message=pack_reasons([stopped])).message  # type: ignore[arg-type]
     assert message == (stopped,) and "무부하 값 3 N" in render_reason(message[0], KOREAN)
 
@@ -223,12 +223,12 @@ def test_what_a_station_says_crosses_the_registry_with_its_values(tmp_path: Path
 def test_a_row_of_an_older_version_is_shown_as_it_stands() -> None:
     old = "stage: no answer within 0.5 s; check cable, power and baud rate"
     assert Progress("o1", RunState.ERROR, message=old).message == (plain(old),)  # type: ignore[arg-type]
-    beat = Heartbeat("s1", StationState.STOPPED, NOW, (old,), gate=(Condition("homing", True, "homed"),))  # type: ignore[arg-type]
-    assert render_reason(beat.reasons[0], KOREAN) == old and beat.gate[0].says.code == PLAIN
+    heartbeat = Heartbeat("s1", StationState.STOPPED, NOW, (old,), gate=(Condition("homing", True, "homed"),))  # type: ignore[arg-type]
+    assert render_reason(heartbeat.reasons[0], KOREAN) == old and heartbeat.gate[0].says.code == PLAIN
 
 
 def test_every_order_every_end_of_a_run_and_every_step_in_use_has_a_name() -> None:
-    steps = ("start", FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED)
+    steps = ("start", FOLLOWED, ON_HOLD, ON_TRIAL, JUMPED, UNWATCHED)
     codes = [f"order.{kind}" for kind in OrderKind] + [f"run.{state}" for state in RunState]
     codes += [f"event.{step}" for step in steps]
     assert [(language, name) for language in LANGUAGES for name in codes if name not in catalogue()[language]] == []
@@ -239,11 +239,13 @@ def test_every_reason_to_calibrate_again_has_its_korean_text(
     module: str, english_in: Callable[[str], list[str]]
 ) -> None:
     tree = ast.parse((ROOT / "core" / "operation" / f"{module}.py").read_text())
-    kept = [n.value for n in ast.walk(tree) if isinstance(n, ast.Assign) and "alarm" in ast.unparse(n.targets[0])]
-    kept += [n.value for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.name == "_alarm"
+    alarm_texts = [
+        n.value for n in ast.walk(tree) if isinstance(n, ast.Assign) and "alarm" in ast.unparse(n.targets[0])
+    ]
+    alarm_texts += [n.value for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.name == "_alarm"
              for n in ast.walk(f) if isinstance(n, ast.Return)]  # fmt: skip
     phrases = {
-        n.value for value in kept for n in ast.walk(value) if isinstance(n, ast.Constant) and " " in str(n.value)
+        n.value for value in alarm_texts for n in ast.walk(value) if isinstance(n, ast.Constant) and " " in str(n.value)
     }
     assert len(phrases) >= 1
     assert [phrase for phrase in phrases if english_in(KOREAN(f"adapt.{phrase}"))] == []

@@ -61,8 +61,8 @@ def test_the_way_from_sqlite_to_postgresql_and_back_computes_nothing_again(
         move(source, url, tmp_path / f"{number}.db")
         again = batch(lot_folder, url)
         assert [unit["is_new"] for unit in again] == [False] * 3
-        for told in ("map", "verdict"):
-            assert [unit[told] for unit in again] == [unit[told] for unit in first]
+        for kind in ("map", "verdict"):
+            assert [unit[kind] for unit in again] == [unit[kind] for unit in first]
         with open_registry(url, create=False) as registry:
             assert registry.verify() == []
         source = url

@@ -48,14 +48,17 @@ def test_no_unit_passes_and_no_file_is_written_whatever_was_measured(unlimited, 
     assert {unit["verdict"] for unit in report["units"]} == {"conditional"}
     assert not any(unit["released"] for unit in report["units"])
     for unit in report["units"]:
-        (said,) = [why for why, code in zip(unit["reasons"], unit["reason_codes"], strict=True) if code == "no_limit"]
-        assert "no limit was stated" in said and "% of the range" in said
+        (reason,) = [why for why, code in zip(unit["reasons"], unit["reason_codes"], strict=True) if code == "no_limit"]
+        assert "no limit was stated" in reason and "% of the range" in reason
     assert not [file for file in out.rglob("*") if any(unit["serial"] in file.name for unit in report["units"])]
     with open_registry(url) as registry:
-        facts = build_certificate(UnitLoader(registry, ExportOptions()).load("A1"))
-        assert facts.withholding_codes[0] in ("simulated", "no_limit") and "no_limit" in facts.withholding_codes
-        assert facts.verdict == "conditional" and not facts.conformity
-        assert ET.fromstring(certificate_xml(facts)).find(".//{https://ptb.de/dcc}conformity") is None
+        certificate = build_certificate(UnitLoader(registry, ExportOptions()).load("A1"))
+        assert (
+            certificate.withholding_codes[0] in ("simulated", "no_limit")
+            and "no_limit" in certificate.withholding_codes
+        )
+        assert certificate.verdict == "conditional" and not certificate.conformity
+        assert ET.fromstring(certificate_xml(certificate)).find(".//{https://ptb.de/dcc}conformity") is None
         assert softcal.Unit.from_registry(registry, "A1").verdict == "conditional"
     _, report = batch(folder, url, tmp_path / "batch.json", "--out", str(out), "--release", "conditional")
     assert [file for file in out.rglob("*") if "A1" in file.name]

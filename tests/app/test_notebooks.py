@@ -14,7 +14,7 @@ pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = ROOT / "examples" / "notebooks"
-ASKED = {
+RESULT_EXPRESSIONS = {
     "paper_tables": "table_1.after_own.max(), (table_1.before_N / table_1.after_N).min(), "
     "list(table_2.index), table_3.min()",
     "own_data": "unit.rmse(audit), unit.predicted_rmse, audited.verdict, inside",
@@ -31,31 +31,31 @@ def left_by(tmp_path: Path) -> Callable[..., list]:  # type: ignore[type-arg]
 
     def run(name: str, site: Path | None = None) -> list:  # type: ignore[type-arg]
         code = f"import json, runpy; globals().update(runpy.run_path({str(NOTEBOOKS / name)!r} + '.py'))\n"
-        code += f"print(json.dumps([{ASKED[name]}], default=float))"
+        code += f"print(json.dumps([{RESULT_EXPRESSIONS[name]}], default=float))"
         environment = {**os.environ, "PYTHONPATH": str(site or ""), "OMP_NUM_THREADS": "1"}
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
         )
-        assert done.returncode == 0, done.stderr
-        return list(json.loads(done.stdout.splitlines()[-1]))
+        assert process.returncode == 0, process.stderr
+        return list(json.loads(process.stdout.splitlines()[-1]))
 
     return run
 
 
 def test_every_notebook_is_a_script_of_cells_that_a_page_names_and_a_test_runs():
     files = sorted(NOTEBOOKS.glob("*"))
-    assert {path.stem for path in files} == set(ASKED)
-    named = re.findall(r"^\| `(\w+)\.py`", (ROOT / "docs/notebooks.md").read_text("utf-8"), re.MULTILINE)
-    assert sorted(named) == [path.stem for path in files]
+    assert {path.stem for path in files} == set(RESULT_EXPRESSIONS)
+    listed = re.findall(r"^\| `(\w+)\.py`", (ROOT / "docs/notebooks.md").read_text("utf-8"), re.MULTILINE)
+    assert sorted(listed) == [path.stem for path in files]
     for path in files:
         text = path.read_text("utf-8")
         assert text.startswith("# %% [markdown]\n# # ") and text.count("\n# %%\n") >= 2, path.name
 
 
 def test_the_papers_tables(left_by):
-    after_own, gained, shares, least_s = left_by("paper_tables")
+    after_own, gained, shares, min_s = left_by("paper_tables")
     assert after_own < 1.2 and gained > 3
-    assert shares == ["100%", "50%", "25%", "10%"] and least_s > 0
+    assert shares == ["100%", "50%", "25%", "10%"] and min_s > 0
 
 
 def test_own_data(left_by, tmp_path):

@@ -39,7 +39,7 @@ def _read(path: Path, text: str, output: str = "output") -> FileRecording:
         (lambda v: f'"{v}"'.replace(".", ","), OUTPUT, "decimal mark"),
     ],
 )
-def test_a_column_in_another_way_of_writing_is_read_and_said(write, expected, word, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_column_in_another_way_of_writing_is_read_and_reported(write, expected, word, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     rows = [f"{t},{write(v)}" for t, v in zip(TIME, OUTPUT, strict=True)]
     file = _read(tmp_path, "\n".join(["t_s,output", *rows]) + "\n")
     np.testing.assert_allclose(file.columns["output"], expected, rtol=1e-9)
@@ -67,7 +67,7 @@ def test_every_number_may_have_its_unit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(file.columns["output"], OUTPUT)
 
 
-def test_a_header_that_comes_again_and_a_summary_are_no_samples_and_are_said(tmp_path: Path) -> None:
+def test_a_header_that_comes_again_and_a_summary_are_no_samples_and_are_reported(tmp_path: Path) -> None:
     text = "\n".join(["t_s,output", *BODY[:100], "t_s,output", *BODY[100:], "Mean,0.52", "Std. Dev.,0.03"]) + "\n"
     file = _read(tmp_path, text)
     np.testing.assert_array_equal(file.columns["output"], OUTPUT)
@@ -82,10 +82,10 @@ def test_a_serial_monitor_that_writes_the_time_before_an_arrow_is_read(tmp_path:
     np.testing.assert_array_equal(file.columns["output"], OUTPUT)
 
 
-@pytest.mark.parametrize("left", ["0", "0."])
-def test_a_last_number_that_lacks_digits_is_no_sample(left: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("last_cell", ["0", "0."])
+def test_a_last_number_that_lacks_digits_is_no_sample(last_cell: str, tmp_path: Path) -> None:
     body = [f"{t},{v:.5f}" for t, v in zip(TIME, OUTPUT, strict=True)]
-    file = _read(tmp_path, "\n".join(["t_s,output", *body[:-1], f"{TIME[-1]},{left}"]))
+    file = _read(tmp_path, "\n".join(["t_s,output", *body[:-1], f"{TIME[-1]},{last_cell}"]))
     assert np.isnan(file.columns["output"][-1]) and len(file.columns["output"]) == ROWS
     whole = _read(tmp_path, "\n".join(["t_s,output", *body]))
     assert np.isfinite(whole.columns["output"]).all() and whole.reading_remarks == ()

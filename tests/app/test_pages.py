@@ -34,7 +34,7 @@ from softcal.core.recording import LabelledRecording
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 TABS = [(page.name, tab.name) for page in PAGES for tab in page.tabs]
 
 
@@ -44,8 +44,8 @@ def test_there_are_seven_pages_and_five_in_the_bar() -> None:
 
 
 def test_every_page_and_tab_has_a_title() -> None:
-    wanted = {f"page.{page.name}" for page in PAGES} | {f"tab.{tab}" for _, tab in TABS}
-    assert not wanted - catalogue()["en"].keys()
+    expected_keys = {f"page.{page.name}" for page in PAGES} | {f"tab.{tab}" for _, tab in TABS}
+    assert not expected_keys - catalogue()["en"].keys()
 
 
 @pytest.mark.parametrize("address", REDIRECTS)
@@ -91,7 +91,7 @@ def test_a_role_lists_the_tabs_it_may_open(calibrated: str, show) -> None:
 
 def test_the_search_finds_units_lots_stations_and_certificates(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
-        registry.order_queue.beat(Heartbeat("line-A", StationState.READY, datetime.now(UTC), process="a:1"))
+        registry.order_queue.write_heartbeat(Heartbeat("line-A", StationState.READY, datetime.now(UTC), process="a:1"))
         certificate = CellCertificate("K1", "A-17", "", date(2026, 1, 5), date(2099, 1, 5), 20.0, 0.02)
         registry.stations.add_certificate(certificate, actor="Erin")
         kinds = {hit.kind for hit in search(registry, "a")}
@@ -128,7 +128,7 @@ def test_the_next_step_follows_from_where_the_lot_stands(calibrated: str) -> Non
     assert sentence and "{" not in sentence
 
 
-def test_units_judged_against_another_limit_ask_for_a_calibration_not_a_press(calibrated: str) -> None:
+def test_units_decided_against_another_limit_ask_for_a_calibration_not_a_press(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
         registry.lots.set_limit("small", 0.5, reason="another drawing")
     assert step_of(calibrated).kind == "again"
@@ -185,7 +185,7 @@ def test_a_release_says_what_it_would_change_before_its_button(calibrated: str, 
 
 
 @pytest.mark.parametrize(
-    ("value", "limit", "shown"),
+    ("value", "limit", "text"),
     [
         (0.2001, 0.2, "0.200 N"),
         (0.12341, 0.1234, "0.1234 N"),
@@ -197,8 +197,8 @@ def test_a_release_says_what_it_would_change_before_its_button(calibrated: str, 
         (None, 0.3, "–"),
     ],
 )
-def test_errors_of_a_lot_have_the_decimals_of_its_limit(value, limit, shown) -> None:
-    assert number(value, "N", limit) == shown
+def test_errors_of_a_lot_have_the_decimals_of_its_limit(value, limit, text) -> None:
+    assert number(value, "N", limit) == text
 
 
 @pytest.mark.parametrize("stated", ["0.3", "0.25", "0.3125", "2"])
@@ -248,7 +248,7 @@ def test_a_simulated_station_is_started_and_switched_off_by_one_button(calibrate
     def beat(state: StationState, ago_s: float = 0.0) -> None:
         process, at = f"{socket.gethostname()}:{service.pid}", datetime.now(UTC) - timedelta(seconds=ago_s)
         with open_registry(calibrated) as registry:
-            registry.order_queue.beat(Heartbeat(SIMULATED, state, at, process=process))
+            registry.order_queue.write_heartbeat(Heartbeat(SIMULATED, state, at, process=process))
 
     try:
         beat(StationState.READY)
@@ -269,13 +269,13 @@ def test_a_simulated_station_is_started_and_switched_off_by_one_button(calibrate
 
 def test_a_station_of_hardware_has_no_button_to_end_it(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
-        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+        registry.order_queue.write_heartbeat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
     assert "station-simulated" not in [one.key for one in show(calibrated, "station", role="engineer").button]
 
 
 def test_every_serial_and_lot_in_a_table_is_a_link(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
-        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+        registry.order_queue.write_heartbeat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
         registry.order_queue.place(Order("run-1", "line-1", OrderKind.UNIT, "A1", "small", "Kim"))
     heads = {text("en", "column.serial"), text("en", "choose.lot")}
     pages, cells = set(), []

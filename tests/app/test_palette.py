@@ -16,7 +16,7 @@ VISION = {
 }
 D65 = np.array([0.95047, 1.0, 1.08883])
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-LEAST_DIFFERENCE = 15.0
+MIN_DIFFERENCE = 15.0
 """CIE76; about 2.3 is just noticeable side by side."""
 
 
@@ -33,9 +33,9 @@ def lab(rgb: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("vision", VISION)
 def test_no_two_verdicts_have_one_colour(vision: str) -> None:
-    shown = {name: lab(np.asarray(VISION[vision]) @ linear(colour)) for name, colour in VERDICT.items()}
-    near = {(a, b): float(np.linalg.norm(shown[a] - shown[b])) for a, b in combinations(shown, 2)}
-    assert min(near.values()) > LEAST_DIFFERENCE, near
+    seen_colours = {name: lab(np.asarray(VISION[vision]) @ linear(colour)) for name, colour in VERDICT.items()}
+    near = {(a, b): float(np.linalg.norm(seen_colours[a] - seen_colours[b])) for a, b in combinations(seen_colours, 2)}
+    assert min(near.values()) > MIN_DIFFERENCE, near
 
 
 @pytest.mark.parametrize("verdict", VERDICT)

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.operation.paper import COURSES, PARTS, PaperTables, compute_tables
+from softcal.app.operation.paper import COURSE_PARTS, COURSES, PaperTables, compute_tables
 from softcal.core.maps.plan import EXACT, JOINT
 from softcal.core.network.config import NetworkConfig
 
@@ -28,14 +28,14 @@ def test_tables_and_courses_by_the_papers_method_and_by_the_default(pair, capsys
     report = tmp_path / "paper.json"
     stream = ("--stream", str(pair / "long.csv"), "--stream-output", "R", "--stream-reference", "strain")
     code = main(["paper", str(pair / "S1.csv"), str(pair / "S2.csv"), *stream, *SMALL, "--json", str(report)])
-    facts = json.loads(report.read_text())
-    assert code == (0 if all(facts["goals"].values()) else 1)
-    assert {EXACT, JOINT, "auto", "own calibration", "ot.da.EMDTransport"} <= facts["errors"].keys()
-    assert facts["errors"]["auto"] < facts["errors"]["before (no map)"]
+    content = json.loads(report.read_text())
+    assert code == (0 if all(content["goals"].values()) else 1)
+    assert {EXACT, JOINT, "auto", "own calibration", "ot.da.EMDTransport"} <= content["errors"].keys()
+    assert content["errors"]["auto"] < content["errors"]["before (no map)"]
     # The same solver on the same windows; they differ by the rule for unseen ones.
-    assert facts["errors"][EXACT] == pytest.approx(facts["errors"]["ot.da.EMDTransport"], rel=0.3)
-    assert facts["shares"][EXACT][-1] == pytest.approx(facts["errors"][EXACT])
-    assert {mode: len(parts) for mode, parts in facts["courses"].items()} == dict.fromkeys(COURSES, PARTS)
+    assert content["errors"][EXACT] == pytest.approx(content["errors"]["ot.da.EMDTransport"], rel=0.3)
+    assert content["shares"][EXACT][-1] == pytest.approx(content["errors"][EXACT])
+    assert {mode: len(parts) for mode, parts in content["courses"].items()} == dict.fromkeys(COURSES, COURSE_PARTS)
     printed = capsys.readouterr().out
     assert all(f"Table {k}" in printed for k in (1, 2, 3)) and "Figures 8 and 9" in printed
 
@@ -71,9 +71,9 @@ def test_no_reference_of_the_target_reaches_a_map(pair):
     assert one.errors == other.errors and one.shares[EXACT] == other.shares[EXACT]
 
 
-@pytest.mark.parametrize("given", [("S1.csv",), ("S1.csv", "missing.csv"), ("S1.csv", "short.csv")])
-def test_a_pair_that_cannot_be_used_is_one_line(pair, capsys, given):
+@pytest.mark.parametrize("message", [("S1.csv",), ("S1.csv", "missing.csv"), ("S1.csv", "short.csv")])
+def test_a_pair_that_cannot_be_used_is_one_line(pair, capsys, message):
     table = pd.read_csv(pair / "S2.csv")
     table.iloc[:60].to_csv(pair / "short.csv", index=False)
-    assert main(["paper", *(str(pair / name) for name in given), *SMALL]) == 2
-    assert "Traceback" not in (said := capsys.readouterr().err) and len(said.strip().splitlines()[-1]) > 20
+    assert main(["paper", *(str(pair / name) for name in message), *SMALL]) == 2
+    assert "Traceback" not in (stderr := capsys.readouterr().err) and len(stderr.strip().splitlines()[-1]) > 20

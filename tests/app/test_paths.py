@@ -64,8 +64,8 @@ def test_a_database_s_password_is_in_no_error(url, command, tmp_path, capsys):
     open_registry(f"sqlite:///{tmp_path / 'here.db'}").close()
     where = ["--registry", f"sqlite:///{tmp_path / 'here.db'}", "--with", url]
     assert main(["registry", command, *(where if command == "sync" else ["--registry", url])]) == 4
-    said = "".join(capsys.readouterr())
-    assert "hush" not in said and len(said.strip().splitlines()) == 1
+    printed = "".join(capsys.readouterr())
+    assert "hush" not in printed and len(printed.strip().splitlines()) == 1
     with pytest.raises(RegistryError):
         open_registry(url)
 
@@ -79,5 +79,5 @@ def test_what_people_wrote_is_shown_and_not_obeyed(calibrated, capsys):
     capsys.readouterr()
     for command in (["list"], ["history", "--serial", serial], ["verify"]):
         main(["registry", *command, "--registry", calibrated])
-        said = "".join(capsys.readouterr())
-        assert said and not [c for c in said if c != "\n" and (ord(c) < 32 or 0x7F <= ord(c) < 0xA0)], command
+        printed = "".join(capsys.readouterr())
+        assert printed and not [c for c in printed if c != "\n" and (ord(c) < 32 or 0x7F <= ord(c) < 0xA0)], command

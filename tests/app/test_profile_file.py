@@ -18,10 +18,10 @@ def read_back(folder, profile):
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_a_profile_is_read_back_as_it_was_written(tmp_path, name):
     profile = BUILT_IN[name](np.random.default_rng(1), 3.0)
-    found = read_back(tmp_path, profile)
+    profile_read = read_back(tmp_path, profile)
     t_s, stage_mm = profile.sample(50.0)
-    assert (found.name, found.presses) == (profile.name, profile.presses)
-    np.testing.assert_allclose(found.position_mm(t_s), stage_mm, atol=1e-9)
+    assert (profile_read.name, profile_read.presses) == (profile.name, profile.presses)
+    np.testing.assert_allclose(profile_read.position_mm(t_s), stage_mm, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ['the "long" one', "one\\two", "two\nlines"])
@@ -30,7 +30,7 @@ def test_any_name_survives_its_file(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("content", "named"),
+    ("content", "message"),
     [
         ("moves = [[1.0, 2.0]]", "move 1 "),
         ("moves = [[1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]", "move 2 "),
@@ -42,10 +42,10 @@ def test_any_name_survives_its_file(tmp_path, name):
         ("moves = [", "TOML"),
     ],
 )
-def test_what_makes_no_sense_is_named(tmp_path, content, named):
+def test_what_makes_no_sense_is_named(tmp_path, content, message):
     path = tmp_path / "p.toml"
     path.write_text(content)
-    with pytest.raises(InputError, match=named):
+    with pytest.raises(InputError, match=message):
         read_profile(path)
 
 
@@ -55,9 +55,9 @@ def test_a_file_is_listed_written_edited_and_pressed(tmp_path, capsys):
     assert "ramps" in capsys.readouterr().out
     assert main(["station", "profiles", "--write", "ramps", str(path)]) == 0
     path.write_text('name = "quick"\nmoves = [[0.0, 1.0, 0.5], [1.5, 4.0, 0.2], [0.0, 4.0, 0.5]]\n')
-    pressed = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(out), "--profile", str(path)]
-    assert main([*pressed, "--spool", str(tmp_path)]) == 0
+    command = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(out), "--profile", str(path)]
+    assert main([*command, "--spool", str(tmp_path)]) == 0
     assert out.exists()
     path.write_text("moves = [[9.5, 4.0, 0.2], [0.0, 4.0, 0.5]]\n")
-    assert main([*pressed, "--spool", str(tmp_path)]) == 3
+    assert main([*command, "--spool", str(tmp_path)]) == 3
     assert "9.5 mm" in capsys.readouterr().err

@@ -26,32 +26,32 @@ from tests.app.pdf_text import read_text
 from tests.app.test_gap_command import write_run
 from tests.app.test_trim_command import drifted_V
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 
 PARTS = {"version", "build", "method", "inputs", "made_at", "actor"}
 
 
-def answered(folder: Path, *words: object) -> dict[str, Any]:
+def run_as_json(folder: Path, *arguments: object) -> dict[str, Any]:
     """Return what a command writes as JSON."""
     out = folder / "answer.json"
-    assert main([*map(str, words), "--json", str(out)]) in (0, 1)
+    assert main([*map(str, arguments), "--json", str(out)]) in (0, 1)
     content: dict[str, Any] = json.loads(out.read_text())
     return content
 
 
 def exported(url: str, folder: Path, kind: str) -> Path:
     out = folder / "files"
-    words = ["export", "--serial", "A1", "--registry", url, "--format", kind, "--failed-too", "--out", str(out)]
-    assert main(words) == 0
+    arguments = ["export", "--serial", "A1", "--registry", url, "--format", kind, "--failed-too", "--out", str(out)]
+    assert main(arguments) == 0
     return out
 
 
 def revision(url: str, folder: Path) -> dict[str, Any]:
-    return answered(folder, "registry", "history", "--serial", "A1", "--registry", url)["revisions"][-1]
+    return run_as_json(folder, "registry", "history", "--serial", "A1", "--registry", url)["revisions"][-1]
 
 
 def statement(url: str, folder: Path) -> dict[str, Any]:
-    return answered(folder, "lot", "release", "small", "--registry", url)
+    return run_as_json(folder, "lot", "release", "small", "--registry", url)
 
 
 def device_file(url: str, folder: Path) -> dict[str, Any]:
@@ -84,16 +84,22 @@ def test_a_certificate_prints_the_record(calibrated: str, tmp_path: Path, kind: 
     file = exported(calibrated, tmp_path, kind) / name
     text = read_text(file.read_bytes()) if kind == "pdf" else file.read_text(encoding="utf-8")
     printed = "".join(text.split())
-    made = revision(calibrated, tmp_path)["provenance"]
-    for part in (made["build"], made["method"], made["actor"], made["made_at"], made["inputs"]["recording"]):
+    provenance = revision(calibrated, tmp_path)["provenance"]
+    for part in (
+        provenance["build"],
+        provenance["method"],
+        provenance["actor"],
+        provenance["made_at"],
+        provenance["inputs"]["recording"],
+    ):
         assert "".join(part.split()) in printed, part
 
 
 def test_the_page_on_a_lot_prints_the_record(calibrated: str, tmp_path: Path) -> None:
     page = tmp_path / "lot.pdf"
-    made = answered(tmp_path, "lot", "release", "small", "--registry", calibrated, "--pdf", page)["provenance"]
+    provenance = run_as_json(tmp_path, "lot", "release", "small", "--registry", calibrated, "--pdf", page)["provenance"]
     text = " ".join(read_text(page.read_bytes()).split())
-    for part in (made["actor"], made["version"], made["build"][:8], made["method"][:8]):
+    for part in (provenance["actor"], provenance["version"], provenance["build"][:8], provenance["method"][:8]):
         assert part in text, part
 
 
@@ -107,11 +113,11 @@ def test_a_gap_report_and_the_twin_of_it_have_the_whole_record(rig: Path, tmp_pa
     report, twin = tmp_path / "rig.gap.json", tmp_path / "rig.twin.json"
     assert main(["gap", "diagnose", str(rig), "--json", str(report)]) == 0
     assert main(["gap", "apply", "--report", str(report), "--out", str(twin)]) == 0
-    made_of = {
+    inputs_of = {
         report: {str(path.relative_to(rig)): path for path in rig.rglob("recording.*")},
         twin: {report.name: report},
     }
-    for file, inputs in made_of.items():
+    for file, inputs in inputs_of.items():
         provenance = json.loads(file.read_text())["provenance"]
         assert set(provenance) == PARTS and provenance["method"] == GAP_METHOD.id
         assert (provenance["build"], provenance["actor"]) == (build_id(), current_user())
@@ -129,8 +135,10 @@ def test_a_diagnosis_in_python_has_the_whole_record(rig: Path) -> None:
 
 
 def test_whoever_fits_a_lot_after_its_release_did_not_release_it() -> None:
-    made = Provenance(version="1", build="", method="m", inputs={}, made_at="2026-05-01T09:00:00+00:00", actor="kim")
-    decision = LotDecision(released=("A1",), provenance=made)
+    provenance = Provenance(
+        version="1", build="", method="m", inputs={}, made_at="2026-05-01T09:00:00+00:00", actor="kim"
+    )
+    decision = LotDecision(released=("A1",), provenance=provenance)
     with open_registry("sqlite://") as registry:
         registry.lots.add(Lot("L1", "S0", 50.0))
         registry.decisions.add("L1", msgspec.to_builtins(decision), action="release", actor="kim")
@@ -149,7 +157,7 @@ def test_a_rollback_says_which_program_made_it_and_not_which_made_the_map(
     )
     later = {"version": "9.9", "build": "f" * 40}
     monkeypatch.setattr("softcal.db.repositories.calibrations.software_now", lambda: later)
-    words = ["--serial", "A1", "--to", "1", "--reason", "back", "--registry", calibrated, "--yes"]
-    assert main(["registry", "rollback", *words]) == 0
-    made = revision(calibrated, tmp_path)["provenance"]
-    assert {name: made[name] for name in later} == later
+    arguments = ["--serial", "A1", "--to", "1", "--reason", "back", "--registry", calibrated, "--yes"]
+    assert main(["registry", "rollback", *arguments]) == 0
+    provenance = revision(calibrated, tmp_path)["provenance"]
+    assert {name: provenance[name] for name in later} == later

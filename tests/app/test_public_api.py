@@ -103,14 +103,14 @@ def test_every_public_name_is_there_and_nothing_is_loaded_before_it_is_asked_for
 
 def test_a_unit_of_another_gain_is_estimated_without_its_reference(source, unit, tables):
     reference = tables[1]["reference"].to_numpy()
-    found = unit.estimate(tables[1]["output"])
+    estimates = unit.estimate(tables[1]["output"])
     uncorrected = softcal.fit_map(
         source, softcal.Recording.from_frame(tables[1], time_s="t_s", serial="S2"), family="identity"
     )
-    error = np.sqrt(np.nanmean((found["estimate"] - reference) ** 2))
+    error = np.sqrt(np.nanmean((estimates["estimate"] - reference) ** 2))
     unmapped = np.sqrt(np.nanmean((uncorrected.estimate(tables[1]["output"])["estimate"] - reference) ** 2))
     assert error < 0.5 * unmapped
-    assert (found["lower"] <= found["estimate"])[14:].all() and found["estimate"][:14].isna().all()
+    assert (estimates["lower"] <= estimates["estimate"])[14:].all() and estimates["estimate"][:14].isna().all()
 
 
 def test_the_reference_of_a_target_changes_nothing(source, unit, tables):
@@ -131,18 +131,31 @@ def test_pandas_keeps_its_index_and_arrays_give_the_same_numbers(unit, tables):
 
 def test_python_and_command_line_give_one_calibration(tables, source, unit, tmp_path):
     files, url = write(tables, tmp_path, {}), f"sqlite:///{tmp_path / 'registry.db'}"
-    made = ["--source", "S1", "--reference-column", "reference", "--time-column", "t_s", "--out", str(tmp_path / "lot")]
-    assert main(["import", *files, *made]) == 0
+    options = [
+        "--source",
+        "S1",
+        "--reference-column",
+        "reference",
+        "--time-column",
+        "t_s",
+        "--out",
+        str(tmp_path / "lot"),
+    ]
+    assert main(["import", *files, *options]) == 0
     main(["batch", str(tmp_path / "lot"), "--hidden", "16,8", "--registry", url])
     with softcal.open_registry(url) as registry:
-        kept = softcal.Unit.from_registry(registry, "S2")
-    assert kept.network.id == source.network.id
-    pd.testing.assert_frame_equal(kept.estimate(tables[1]["output"]), unit.estimate(tables[1]["output"]))
-    assert (kept.verdict, kept.family, kept.predicted_rmse) == (unit.verdict, unit.family, unit.predicted_rmse)
+        registered = softcal.Unit.from_registry(registry, "S2")
+    assert registered.network.id == source.network.id
+    pd.testing.assert_frame_equal(registered.estimate(tables[1]["output"]), unit.estimate(tables[1]["output"]))
+    assert (registered.verdict, registered.family, registered.predicted_rmse) == (
+        unit.verdict,
+        unit.family,
+        unit.predicted_rmse,
+    )
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    ("arguments", "message"),
     [
         ({"output": [1.0] * 20}, "sample_rate_Hz .*t_s"),
         ({"output": [float("nan")] * 20, "sample_rate_Hz": 50}, "output .*20"),
@@ -151,8 +164,8 @@ def test_python_and_command_line_give_one_calibration(tables, source, unit, tmp_
         ({"output": [1.0] * 20, "sample_rate_Hz": -1}, "sample_rate_Hz"),
     ],
 )
-def test_a_bad_recording_is_refused_when_it_is_made(arguments, named):
-    with pytest.raises(softcal.InputError, match=named):
+def test_a_bad_recording_is_refused_when_it_is_made(arguments, message):
+    with pytest.raises(softcal.InputError, match=message):
         softcal.Recording(**arguments)
 
 
@@ -179,10 +192,13 @@ def test_a_unit_is_saved_loaded_and_exported_without_a_registry(source, tables, 
     pd.testing.assert_frame_equal(again.estimate(target), unit.estimate(target))
     with pytest.raises(softcal.UnitRefused, match=unit.verdict):
         unit.export(tmp_path / "held")
-    files = {one: made.export(tmp_path / one, "json", release="conditional") for one, made in
+    files = {one: made_unit.export(tmp_path / one, "json", release="conditional") for one, made_unit in
              (("new", unit), ("kept", again))}  # fmt: skip
-    kept = [json.loads(Path(found[0]).read_text())["calibration"] for found in files.values()]
-    assert kept[0]["map_sha256"] == kept[1]["map_sha256"] and kept[0]["arrays"] == kept[1]["arrays"]
+    calibrations = [json.loads(Path(paths[0]).read_text())["calibration"] for paths in files.values()]
+    assert (
+        calibrations[0]["map_sha256"] == calibrations[1]["map_sha256"]
+        and calibrations[0]["arrays"] == calibrations[1]["arrays"]
+    )
     assert main(["estimate", "--registry", f"sqlite:///{tmp_path / 'unit.db'}", "--serial", serial,
                  str(write(tables, tmp_path, {})[1]), "--out", str(tmp_path / "out.csv")]) == 0  # fmt: skip
     with pytest.raises(softcal.InputError, match="nowhere.db"):
@@ -202,7 +218,7 @@ def test_units_make_a_table_and_say_themselves_in_one_short_line(source, unit, t
 def test_pandas_goes_in_everywhere(tables, unit):
     network = softcal.fit_network(tables[0], **SMALL)
     output = tables[1]["output"]
-    for given in (
+    for recording in (
         tables[1],
         tables[1][["t_s", "output"]],
         tables[1][["output"]],
@@ -210,17 +226,17 @@ def test_pandas_goes_in_everywhere(tables, unit):
         output.to_numpy(),
         list(output),
     ):
-        found = softcal.fit_map(network, given, audit=tables[1])
-        assert found.state.scores is not None
-        assert len(found.estimate(given)) == 1500 and found.map.family
-    assert found.rmse(tables[1]) == pytest.approx(found.rmse(softcal.Recording.from_frame(
+        fitted_unit = softcal.fit_map(network, recording, audit=tables[1])
+        assert fitted_unit.state.scores is not None
+        assert len(fitted_unit.estimate(recording)) == 1500 and fitted_unit.map.family
+    assert fitted_unit.rmse(tables[1]) == pytest.approx(fitted_unit.rmse(softcal.Recording.from_frame(
         tables[1], reference="reference", time_s="t_s")))  # fmt: skip
     shifted = tables[1].set_index(tables[1].index + 7)
     assert list(unit.estimate(shifted).index[:2]) == [7, 8]
 
 
 @pytest.mark.parametrize(
-    ("call", "named"),
+    ("call", "message"),
     [
         (lambda f, t: softcal.Recording([1.0] * 20, sample_rate_Hz="50"), "sample_rate_Hz is '50'.*number"),
         (lambda f, t: softcal.Recording([1.0] * 20, sample_rate_Hz=True), "sample_rate_Hz is True"),
@@ -239,8 +255,8 @@ def test_pandas_goes_in_everywhere(tables, unit):
         (lambda f, t: softcal.fit_map(f, t, anchors=pd.DataFrame({"output": [0.5]})), "anchors.*reference"),
     ],
 )
-def test_a_wrong_type_is_one_line_with_value_and_expectation(source, tables, call, named):
-    with pytest.raises(softcal.InputError, match=named) as refused:
+def test_a_wrong_type_is_one_line_with_value_and_expectation(source, tables, call, message):
+    with pytest.raises(softcal.InputError, match=message) as refused:
         call(source, tables[0])
     assert "\n" not in str(refused.value)
 
@@ -311,9 +327,9 @@ def test_a_stage_position_reaches_the_map():
     lot = simulate_lot(1, LotDesign(good=1, source_s=40, unit_s=30, audit_s=30, has_stage=True))
     tables = [lot.source.unlabelled.arrays() | {"reference": lot.source.reference}, lot.units[0].recording.arrays()]
     columns = {"time_s": "t_s", "stage_mm": "stage_mm"}
-    known = softcal.Recording.from_frame(pd.DataFrame(tables[0]), reference="reference", **columns)
+    source = softcal.Recording.from_frame(pd.DataFrame(tables[0]), reference="reference", **columns)
     target = softcal.Recording.from_frame(pd.DataFrame(tables[1]), **columns)
-    assert softcal.fit_map(softcal.fit_network(known, **SMALL), target).family == "stage_matched"
+    assert softcal.fit_map(softcal.fit_network(source, **SMALL), target).family == "stage_matched"
     assert list(target.to_frame()) == ["t_s", "output", "stage_mm"]
     with pytest.raises(softcal.InputError, match="'where'"):
         softcal.Recording.from_frame(pd.DataFrame(tables[1]), time_s="t_s", stage_mm="where")

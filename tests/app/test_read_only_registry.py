@@ -74,9 +74,9 @@ def read_only() -> Iterator[Callable[[Path], None]]:
 def answers_of(commands: list[list[str]]) -> list[tuple[int, str, str]]:
     """Return exit code, standard output and standard error of commands that run without an administrator's rights."""
     run = [*AS_ANYBODY, sys.executable, "-c", CHILD]
-    done = subprocess.run(run, input=json.dumps(commands), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return [tuple(answer) for answer in json.loads(done.stdout)]
+    process = subprocess.run(run, input=json.dumps(commands), capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    return [tuple(answer) for answer in json.loads(process.stdout)]
 
 
 def cautioned(registry: Registry) -> int:
@@ -84,7 +84,7 @@ def cautioned(registry: Registry) -> int:
 
 
 @pytest.fixture
-def folder(small_calibrated: Path, tmp_path: Path, own_data: None) -> Path:
+def folder(small_calibrated: Path, tmp_path: Path, separate_data_folder: None) -> Path:
     """A folder with the calibrated registry in it, its audits drawn and A2 beyond a limit."""
     folder = tmp_path / "archive"
     folder.mkdir()
@@ -142,8 +142,8 @@ def test_what_a_left_over_log_holds_is_read(folder, tmp_path, read_only, has_ind
             shutil.copy(folder / f"registry.db{suffix}", copied)
     files = {path: path.read_bytes() for path in copied.iterdir()}
     read_only(copied)
-    asked = [["lot", "limit", "small", "--json", "-", "--registry", f"sqlite:///{copied / 'registry.db'}"]]
-    ((code, out, error),) = answers_of(asked)
+    commands = [["lot", "limit", "small", "--json", "-", "--registry", f"sqlite:///{copied / 'registry.db'}"]]
+    ((code, out, error),) = answers_of(commands)
     assert code == 0 and json.loads(out)["versions"][-1]["rmse"] == 0.123, error
     assert {path: path.read_bytes() for path in copied.iterdir()} == files
 
@@ -151,11 +151,11 @@ def test_what_a_left_over_log_holds_is_read(folder, tmp_path, read_only, has_ind
 def test_only_the_file_is_read_only(folder, read_only) -> None:
     (folder / "registry.db").chmod(0o444)
     url = f"sqlite:///{folder / 'registry.db'}"
-    asked = [
+    commands = [
         ["registry", "list", "--registry", url],
         ["lot", "limit", "small", "--rmse", "1", "--reason", "x", "--yes", "--registry", url],
     ]
-    (code, out, _), (code_write, _, error) = answers_of(asked)
+    (code, out, _), (code_write, _, error) = answers_of(commands)
     assert code == 0 and "A1" in out and code_write == 4 and "read-only" in error
     assert [path.name for path in folder.iterdir()] == ["registry.db"]
 

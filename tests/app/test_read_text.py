@@ -214,7 +214,7 @@ def test_encodings_are_detected(encoding: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "named"),
+    ("text", "message"),
     [
         ("0,512\n0,513\n0,514\n", "--delimiter"),
         ("t_s;output\n0;1,234\n1;1,235\n2;1,236\n", "--decimal"),
@@ -230,10 +230,10 @@ def test_encodings_are_detected(encoding: str, tmp_path: Path) -> None:
         ("t_s,output\n", "no row of data"),
     ],
 )
-def test_what_leaves_a_doubt_is_refused_with_its_line_or_option(text: str, named: str, tmp_path: Path) -> None:
+def test_ambiguous_text_is_refused_with_its_line_or_option(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=named):
+    with pytest.raises(InputError, match=message):
         table = read_table(path)
         for name in table.names:
             table.numbers(name)

@@ -33,8 +33,8 @@ def example(code: str) -> Reason:
     """Return a reason of a code with a value for every place: a number where the sentence formats one."""
     if code == PLAIN:
         return plain("so")
-    places = [(name, spec) for _, name, spec, _ in Formatter().parse(ENGLISH[code]) if name]
-    return Reason(code, {name: 0.5 if spec else "N" if name == "unit" else plain("so") for name, spec in places})
+    placeholders = [(name, spec) for _, name, spec, _ in Formatter().parse(ENGLISH[code]) if name]
+    return Reason(code, {name: 0.5 if spec else "N" if name == "unit" else plain("so") for name, spec in placeholders})
 
 
 SENTENCES = set(rig_sentences.SENTENCES).union(*DRIVER_PAGES.values())
@@ -42,11 +42,11 @@ VERDICTS = [code for code in ENGLISH if code not in SENTENCES]
 EXAMPLES = [example(code) for code in VERDICTS]
 
 
-def test_every_reason_is_said_in_every_language_with_the_same_values() -> None:
+def test_every_reason_is_rendered_in_every_language_with_the_same_values() -> None:
     for one, language in product(EXAMPLES, LANGUAGES):
         sentence = catalogue()[language][f"{PREFIX}{one.code}"]
-        named = {name for _, name, _, _ in Formatter().parse(sentence) if name}
-        assert named == set(one.values) or one.code == PLAIN
+        placeholders = {name for _, name, _, _ in Formatter().parse(sentence) if name}
+        assert placeholders == set(one.values) or one.code == PLAIN
         assert render_reason(one, partial(text, language)) == one.render({one.code: sentence} | {PLAIN: "{text}"})
 
 
@@ -66,12 +66,12 @@ LOT = ("release.", "unused.", "lot.", "lot_fit.source.")
 NOT_AT_THE_LINE = ("part.", "inspect.", "data.", "audit.", "gap.", *LOT, PLAIN)
 
 
-def test_every_reason_is_said_plainly_to_the_line_without_numbers() -> None:
+def test_every_reason_is_reported_plainly_to_the_line_without_numbers() -> None:
     at_the_line = [one for e in EXAMPLES if not e.code.startswith(NOT_AT_THE_LINE) for one in whole(e)]
     for one, language in product(at_the_line, LANGUAGES):
         sentence = render_plain_reason(one, partial(text, language))
         assert sentence in [
-            render_reason for key, render_reason in catalogue()[language].items() if key.startswith(PLAIN_PREFIX)
+            text_of_key for key, text_of_key in catalogue()[language].items() if key.startswith(PLAIN_PREFIX)
         ], one
         assert sentence.endswith(".") and not any(c.isdigit() or c in "{};`" for c in sentence), one
         assert language == "en" or sentence != render_plain_reason(one, ENGLISH_WORDS), one
@@ -84,8 +84,10 @@ def test_a_reason_kept_as_a_sentence_is_shown_as_it_is() -> None:
 def test_the_numerics_give_codes_that_exist_and_no_prose() -> None:
     for module in MODULES:
         calls = [node for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.Call)]
-        made = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id in ("reason", "Reason") and c.args]
-        codes = [c.args[0].value for c in made if isinstance(c.args[0], ast.Constant)]
+        reason_calls = [
+            c for c in calls if isinstance(c.func, ast.Name) and c.func.id in ("reason", "Reason") and c.args
+        ]
+        codes = [c.args[0].value for c in reason_calls if isinstance(c.args[0], ast.Constant)]
         assert codes and set(codes) <= set(ENGLISH), module
         refusals = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id in ("UnitRefused", "Finding")]
         assert not any(isinstance(c.args[0], ast.Constant | ast.JoinedStr) for c in refusals), module
@@ -101,8 +103,8 @@ def test_every_code_is_given_somewhere() -> None:
     ]
     source = "\n".join(path.read_text() for path in files)
     # `compare_with_limit` puts these two together from the name of what it judges.
-    known = {PLAIN, "part.predicted", "part.measured"}
-    unused = [code for code in VERDICTS if f'"{code}"' not in source and code not in known]
+    extra_codes = {PLAIN, "part.predicted", "part.measured"}
+    unused = [code for code in VERDICTS if f'"{code}"' not in source and code not in extra_codes]
     assert unused == []
 
 
@@ -123,7 +125,7 @@ def test_a_code_of_a_later_version_stays_readable() -> None:
 
 
 @pytest.mark.parametrize("error", [0.05, 0.11, 0.13, 0.4])
-def test_the_statement_of_a_verdict_is_said_in_korean_with_its_values(error: float) -> None:
+def test_the_statement_of_a_verdict_is_rendered_in_korean_with_its_values(error: float) -> None:
     forecast = ErrorForecast(error, error - 0.03, error + 0.03)
     for limit in (Limit("N", 0.12), default_limit("N", 0.04, 3.0, DecisionConfig())):
         (one,) = compare_with_limit(forecast, limit).reasons
@@ -134,13 +136,13 @@ def test_the_statement_of_a_verdict_is_said_in_korean_with_its_values(error: flo
         assert render_reason(one, ENGLISH_WORDS) == str(one)
 
 
-def test_an_audited_verdict_is_said_in_korean() -> None:
+def test_an_audited_verdict_is_rendered_in_korean() -> None:
     harmful = Scores(MeasuredError(0.1, 900), MeasuredError(0.2, 900))
     korean = [render_reason(one, KOREAN) for one in compare_with_audit(harmful, Limit("N", 0.12)).reasons]
     assert any("측정" in one for one in korean) and any("보정하지 않는 것보다 나쁨" in one for one in korean)
 
 
-def test_the_cause_within_a_reason_is_said_too() -> None:
+def test_the_cause_within_a_reason_is_reported_too() -> None:
     one = reason("unfamiliar", share=0.12, cause=Reason("part.fast"))
     assert "빠른 움직임" in render_reason(one, KOREAN) and "12%" in render_reason(one, KOREAN)
 
@@ -159,7 +161,7 @@ def test_every_part_of_a_predicted_error_has_its_name_on_the_figure(language: st
         assert text(language, f"part.{part}")
 
 
-def test_a_verdict_within_a_reason_is_said_in_korean() -> None:
+def test_a_verdict_within_a_reason_is_rendered_in_korean() -> None:
     why = reason("predicted_otherwise", verdict="fail", why=reason("dead.noise", spread=0.1, unit="V", cure="c"))
     assert "불합격" in render_reason(why, partial(text, "ko")) and "fail" not in render_reason(why, partial(text, "ko"))
     assert "predicted fail:" in render_reason(why, partial(text, "en"))

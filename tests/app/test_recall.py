@@ -9,7 +9,7 @@ from softcal.app.export.manifest import read_manifest
 from softcal.db.connection import open_registry
 from tests.app.test_trim_command import drifted_V
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 
 
 def passed(url: str) -> list[str]:
@@ -52,8 +52,8 @@ def test_a_stricter_limit_names_the_files_takes_them_back_and_lists_the_devices(
     )
     capsys.readouterr()
     assert main(limit) == 2
-    told = capsys.readouterr().out
-    assert all(serial in told for serial in before) and str(out) in told
+    stdout = capsys.readouterr().out
+    assert all(serial in stdout for serial in before) and str(out) in stdout
     assert all((out / f"unit-{serial}.ssc").exists() for serial in before), "an act that was not confirmed did it"
     assert main([*limit, "--yes"]) == 0
     assert not [serial for serial in before if (out / f"unit-{serial}.ssc").exists()]

@@ -28,13 +28,13 @@ def _line(value):
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
-def changed_facts(whole, **changes):
+def change_header(whole, **changes):
     """The spool with other facts, every checksum right."""
     lines = whole.split(b"\n")
     for k, line in enumerate(lines):
         if b'"facts"' in line:
-            facts = json.loads(line.partition(b" ")[2])["facts"] | changes
-            lines[k] = _line({"facts": {key: value for key, value in facts.items() if value is not None}}).rstrip()
+            header = json.loads(line.partition(b" ")[2])["facts"] | changes
+            lines[k] = _line({"facts": {key: value for key, value in header.items() if value is not None}}).rstrip()
     return b"\n".join(lines)
 
 
@@ -50,9 +50,9 @@ BAD = {
     "a serial that is none": lambda whole: _line({"schema": "softcal.spool/1", "serial": "../x"}),
     "a header that is no table": lambda whole: _line([1, 2]),
     "rows that are none": lambda whole: whole[: whole.index(b"\n") + 1] + _line({"output": [[1.0]], "polls": [3]}),
-    "facts of another version": lambda whole: changed_facts(whole, moves=None, new_fact=1),
-    "facts that do not fit": lambda whole: changed_facts(whole, span_s=[1e9, 2e9]),
-    "a recording that is refused today": lambda whole: changed_facts(whole, sample_rate_Hz=200.0),
+    "facts of another version": lambda whole: change_header(whole, moves=None, new_fact=1),
+    "facts that do not fit": lambda whole: change_header(whole, span_s=[1e9, 2e9]),
+    "a recording that is refused today": lambda whole: change_header(whole, sample_rate_Hz=200.0),
     "two finished runs": lambda whole: whole + whole,
 }
 
@@ -77,7 +77,7 @@ def test_a_folder_in_the_place_of_a_spool_is_named(whole, tmp_path):
 
 
 def test_two_finished_runs_of_one_unit_are_both_kept(whole, tmp_path):
-    (tmp_path / "a.spool").write_bytes(changed_facts(whole, zero_N=0.1))
+    (tmp_path / "a.spool").write_bytes(change_header(whole, zero_N=0.1))
     (tmp_path / "z.spool").write_bytes(whole)
     first, last = recover(tmp_path, tmp_path / "out")
     assert len({*first.files, *last.files}) == 2
@@ -95,9 +95,9 @@ def test_a_recording_of_before_is_not_written_over(whole, tmp_path):
     (tmp_path / "z.spool").write_bytes(whole)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "Z9.csv").write_text("t_s,output\n0.0,1.0\n")
-    (found,) = recover(tmp_path, tmp_path / "out")
+    (recovered_run,) = recover(tmp_path, tmp_path / "out")
     assert (tmp_path / "out" / "Z9.csv").read_text() == "t_s,output\n0.0,1.0\n"
-    assert found.files and found.files[0].exists()
+    assert recovered_run.files and recovered_run.files[0].exists()
 
 
 OUTPUT, CELL = ([Sample(0.1 * k, 0.1 * k, (level,)) for k in range(5)] for level in (0.5, 1.0))
@@ -116,8 +116,8 @@ def test_an_aborted_run_keeps_every_channel_that_spoke(silent, tmp_path):
     with pytest.raises(KeyboardInterrupt), Spool(tmp_path / "a.spool", {"serial": "A1"}) as spool:
         spool.append(output, cell, polls)
         raise KeyboardInterrupt
-    (found,) = recover(tmp_path, tmp_path / "out")
-    header, *rows = found.files[0].read_text().splitlines()
+    (recovered_run,) = recover(tmp_path, tmp_path / "out")
+    header, *rows = recovered_run.files[0].read_text().splitlines()
     spoke = {"output_0": output, "force_N": cell, "stage_mm": polls}
     assert {name for name in spoke if name in header.split(",")} == {name for name, channel in spoke.items() if channel}
     assert len(rows) == max(1, len(output) or len(cell) or len(polls))
@@ -128,7 +128,7 @@ def test_before_a_channel_spoke_and_after_it_fell_silent_nothing_is_made_up(tmp_
     with pytest.raises(KeyboardInterrupt), Spool(tmp_path / "a.spool", {"serial": "A1"}) as spool:
         spool.append(output, [Sample(0.4, 0.4, (1.0,)), Sample(0.6, 0.6, (3.0,))], [])
         raise KeyboardInterrupt
-    (found,) = recover(tmp_path, tmp_path / "out")
-    header, *rows = found.files[0].read_text().splitlines()
+    (recovered_run,) = recover(tmp_path, tmp_path / "out")
+    header, *rows = recovered_run.files[0].read_text().splitlines()
     at = header.split(",").index("force_N")
     assert [row.split(",")[at] for row in rows[3:8]] == ["", "1.0", "2.0", "3.0", ""]

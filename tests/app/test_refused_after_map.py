@@ -15,7 +15,7 @@ from softcal.core.messages.reason import plain
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.db.connection import open_registry
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 WHY, PASS = "its cable broke", text("en", "verdict.pass")
 
 
@@ -57,23 +57,23 @@ def test_export_writes_no_file_of_it_and_says_why(refused, tmp_path, capsys, nam
 
 
 def test_not_even_for_the_laboratory_unless_its_revision_is_named(refused, tmp_path, capsys):
-    asked = ["export", "--registry", refused, "--serial", "A1", "--format", "blob", "--out", str(tmp_path / "files")]
-    assert main([*asked, "--failed-too"]) == 2
+    command = ["export", "--registry", refused, "--serial", "A1", "--format", "blob", "--out", str(tmp_path / "files")]
+    assert main([*command, "--failed-too"]) == 2
     assert files_of(tmp_path / "files", "A1") == []
     capsys.readouterr()
-    assert main([*asked, "--revision", "1"]) == 0
+    assert main([*command, "--revision", "1"]) == 0
     assert files_of(tmp_path / "files", "A1") == ["unit-A1.ssc"]
     warned(capsys, "retest")
 
 
 def test_the_files_it_had_are_taken_back_and_other_units_go_on(calibrated, tmp_path):
     out = tmp_path / "files"
-    asked = ["export", "--registry", calibrated, "--serial", "A1", "--serial", "A3", "--format", "json"]
-    asked += ["--format", "pdf", "--failed-too", "--out", str(out)]
-    assert main(asked) == 0 and len(files_of(out, "A1")) == 2
+    command = ["export", "--registry", calibrated, "--serial", "A1", "--serial", "A3", "--format", "json"]
+    command += ["--format", "pdf", "--failed-too", "--out", str(out)]
+    assert main(command) == 0 and len(files_of(out, "A1")) == 2
     with open_registry(calibrated) as registry:
         registry.calibrations.refuse("small", "A1", "fail", (plain(WHY),))
-    assert main([*asked, "--check"]) == 1
+    assert main([*command, "--check"]) == 1
     assert files_of(out, "A1") == [] and len(files_of(out, "A3")) == 2
 
 
@@ -83,10 +83,10 @@ def test_an_archive_of_the_lot_has_no_file_of_it(refused, monkeypatch, tmp_path)
         request = {"lot": "small", "serials": None, "formats": ["json", "pdf"], "release": "pass"}
         registry.job_board.place("archive", request, "Erin")
         (job,) = registry.job_board.jobs()
-        told = jobs.archive(registry, job, JobProgress(registry.job_board, job.job_id)).result
+        archive_result = jobs.archive(registry, job, JobProgress(registry.job_board, job.job_id)).result
     with zipfile.ZipFile(jobs.archive_path(job)) as pack_reasons:
         assert not [name for name in pack_reasons.namelist() if "A1" in name]
-    assert [serial for serial, why in told["refused"] if WHY in why] == ["A1"]
+    assert [serial for serial, why in archive_result["refused"] if WHY in why] == ["A1"]
 
 
 def test_who_takes_an_older_revision_of_a_unit_that_fails_now_is_warned(calibrated, tmp_path, capsys):
@@ -97,8 +97,8 @@ def test_who_takes_an_older_revision_of_a_unit_that_fails_now_is_warned(calibrat
         registry.calibrations.add("small", replace(state, fit=fit, audit=None))
         (unit,) = registry.lots.units("small", "A1")
         assert unit.verdict == "fail" and registry.calibrations.get("A1", 1).state.verdict == "pass"
-    asked = ["export", "--registry", calibrated, "--serial", "A1", "--revision", "1", "--format", "json"]
-    assert main([*asked, "--out", str(tmp_path / "files")]) == 0
+    command = ["export", "--registry", calibrated, "--serial", "A1", "--revision", "1", "--format", "json"]
+    assert main([*command, "--out", str(tmp_path / "files")]) == 0
     warned(capsys, "fail")
 
 
@@ -112,8 +112,8 @@ def test_who_uses_its_map_is_warned(refused, trained_lot, tmp_path, capsys, comm
 
 def test_a_page_shows_how_it_stands_and_gives_no_file(refused, show):
     screen = show(refused, "unit", tab="files", unit="A1")
-    shown = " ".join(element.proto.body for element in screen.get("html"))
-    assert text("en", "verdict.retest") in shown and PASS not in shown
+    page_text = " ".join(element.proto.body for element in screen.get("html"))
+    assert text("en", "verdict.retest") in page_text and PASS not in page_text
     assert any(WHY in note.value for note in screen.markdown)
     screen.segmented_control(key="format-small/A1").set_value("pdf").run()
     assert WHY in screen.warning[-1].value and not screen.get("download_button")

@@ -78,8 +78,8 @@ def test_backup_restore_and_sync_go_round(url, capsys, tmp_path):
     assert run(capsys, "registry", "restore", tmp_path / "b.db", "--registry", copy)[0] == 0
     run(capsys, "registry", "rollback", "--registry", copy, "--serial", "A7", "--to", 1, "--reason", "x")
     code, out, _ = run(capsys, "registry", "sync", "--registry", url, "--with", copy, "--json", "-")
-    told = {"schema": "softcal.registry.sync/1", "sent": 0, "received": 3, "conflicts": [], "clocks": []}
-    assert code == 0 and json.loads(out) == told, "the restore, the revision, and that it is in use"
+    expected = {"schema": "softcal.registry.sync/1", "sent": 0, "received": 3, "conflicts": [], "clocks": []}
+    assert code == 0 and json.loads(out) == expected, "the restore, the revision, and that it is in use"
     assert run(capsys, "registry", "verify", "--registry", url)[0] == 0
 
 
@@ -145,9 +145,9 @@ def test_a_password_never_reaches_the_log(secret, tmp_path, monkeypatch):
     log.info("event", text=secret, parts=[secret], pin="hush")
     logs.log_crash(ValueError(secret), "test")
     logs.end_run(log, 2, secret)
-    written = next(tmp_path.glob("*.jsonl")).read_text()
-    assert "hush" not in written and written.count("***") >= 6
-    assert {json.loads(line)["command"] for line in written.splitlines()} == {"test"}
+    log_text = next(tmp_path.glob("*.jsonl")).read_text()
+    assert "hush" not in log_text and log_text.count("***") >= 6
+    assert {json.loads(line)["command"] for line in log_text.splitlines()} == {"test"}
 
 
 def test_a_log_that_grew_too_large_is_set_aside(tmp_path, monkeypatch):

@@ -37,8 +37,8 @@ def test_who_writes_names_the_registry_and_who_reads_does_not(
 
 def test_the_answer_stays_alone_on_standard_output(calibrated, capsys) -> None:
     main(["lot", "rules", "small", "--target", "7", "--reason", "order", "--registry", calibrated, "--json", "-"])
-    told = capsys.readouterr()
-    assert json.loads(told.out)["now"]["target"] == 7 and told.err.count(calibrated) == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["now"]["target"] == 7 and printed.err.count(calibrated) == 1
 
 
 def test_both_sides_of_a_synchronisation_are_named(calibrated, tmp_path, capsys) -> None:
@@ -54,11 +54,11 @@ def test_both_sides_of_a_synchronisation_are_named(calibrated, tmp_path, capsys)
 
 
 @pytest.mark.parametrize("url", ["postgresql://kim:s3cret@db/softcal", "postgresql://kim@db/softcal?password=s3cret"])
-def test_no_password_is_said(url: str, capsys) -> None:
+def test_no_password_is_reported(url: str, capsys) -> None:
     from softcal.app.cli.options import echo_written_url
 
     echo_written_url(url)
-    assert "db/softcal" in (said := capsys.readouterr().err) and "s3cret" not in said
+    assert "db/softcal" in (stderr := capsys.readouterr().err) and "s3cret" not in stderr
 
 
 def openings() -> Iterator[str]:

@@ -28,7 +28,7 @@ from softcal.core.orders import Heartbeat, Order, OrderKind, StationState
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 EXAMPLES = 10
 ACCOUNTS = {"operator": "Oh", "engineer": "Erin", "quality": "Quinn"}
 
@@ -56,17 +56,17 @@ def listed(url: str, tmp_path: Path) -> list[dict[str, object]]:
 
 
 def test_units_are_what_the_command_says_page_by_page(client, calibrated, tmp_path):
-    assert [found["lot"] for found in client.get("/v1/lots").json()["lots"]] == ["small"]
-    wanted, found, after = listed(calibrated, tmp_path), [], ""
+    assert [lot["lot"] for lot in client.get("/v1/lots").json()["lots"]] == ["small"]
+    expected_units, lot, after = listed(calibrated, tmp_path), [], ""
     while after is not None:
         answer = client.get("/v1/lots/small/units", params={"limit": 3, "after": after}).json()
-        assert answer["total"] == len(wanted)
-        found += answer["units"]
+        assert answer["total"] == len(expected_units)
+        lot += answer["units"]
         after = answer["next"]
-    assert found == wanted
-    one = wanted[0]["serial"]
-    assert client.get(f"/v1/lots/small/units/{one}").json() == wanted[0]
-    assert client.get(f"/v1/units?serial={one}").json() == {"units": [wanted[0]], "next": None}
+    assert lot == expected_units
+    one = expected_units[0]["serial"]
+    assert client.get(f"/v1/lots/small/units/{one}").json() == expected_units[0]
+    assert client.get(f"/v1/units?serial={one}").json() == {"units": [expected_units[0]], "next": None}
 
 
 def test_a_filter_lets_through_what_it_names(client, calibrated, tmp_path):
@@ -79,44 +79,44 @@ def test_a_filter_lets_through_what_it_names(client, calibrated, tmp_path):
 def test_revisions_are_what_the_command_says(client, calibrated, tmp_path):
     path = str(tmp_path / "h.json")
     assert main(["registry", "history", "--serial", "A1", "--registry", calibrated, "--json", path]) == 0
-    said = json.loads(Path(path).read_text())
+    content = json.loads(Path(path).read_text())
     answer = client.get("/v1/lots/small/units/A1/revisions").json()
-    assert {"schema": said["schema"], **answer} == said | {"next": None}
+    assert {"schema": content["schema"], **answer} == content | {"next": None}
 
 
 @pytest.mark.parametrize("limit", [1, 2, 5, 6, 7])
 def test_every_list_comes_a_page_at_a_time_by_the_same_cursor(client, registry, limit):
-    told = {"kind": "station", "lot": None, "values": {}, "is_urgent": True, "text": {"en": "x"}}
+    alert = {"kind": "station", "lot": None, "values": {}, "is_urgent": True, "text": {"en": "x"}}
     for number in range(6):
         registry.lots.add(Lot(f"X{number}", "S0", 50.0))
         registry.job_board.place("train", {}, "Erin")
         registry.calibrations.refuse(f"X{number}", "A1", "fail", (plain("dead"),))
         registry.order_queue.place(Order(f"{number}", f"line-{number}", OrderKind.CHECK))
-        registry.order_queue.beat(Heartbeat(f"line-{number}", StationState.OFF, datetime.now(UTC)))
-        store_alert(registry, ("station", "", f"line-{number}"), told, is_open=True)
+        registry.order_queue.write_heartbeat(Heartbeat(f"line-{number}", StationState.OFF, datetime.now(UTC)))
+        store_alert(registry, ("station", "", f"line-{number}"), alert, is_open=True)
     for path in ("lots", "units?serial=A1", "jobs", "orders", "stations", "alerts", "lots/small/units"):
         name = path.rpartition("/")[2].partition("?")[0]
-        (whole, end), found, after = page_of(client, path, name, "", MAX_ROWS), [], ""
+        (whole, end), result, after = page_of(client, path, name, "", MAX_ROWS), [], ""
         while after is not None:
             rows, after = page_of(client, path, name, after, limit)
             assert len(rows) <= limit
-            found += rows
-        assert found == whole and end is None and len(whole) >= 4, path
+            result += rows
+        assert result == whole and end is None and len(whole) >= 4, path
     assert client.get("/v1/lots?after=nonsense").status_code == 400
 
 
 def page_of(client, path: str, name: str, after: str, limit: int) -> tuple[list, str | None]:
-    asked = "&" if "?" in path else "?"
-    answer = client.get(f"/v1/{path}{asked}limit={limit}&after={after}").json()
+    separator = "&" if "?" in path else "?"
+    answer = client.get(f"/v1/{path}{separator}limit={limit}&after={after}").json()
     return answer[name], answer["next"]
 
 
 def test_no_question_writes_anything(client, registry):
     operations = openapi_document(rest_app(registry))["paths"]
-    known = {"{lot}": "small", "{serial}": "A1", "{job_id}": start_job(registry)}
+    values = {"{lot}": "small", "{serial}": "A1", "{job_id}": start_job(registry)}
     before = registry.outbox.end()
     for path in [path for path, methods in operations.items() if "get" in methods]:
-        for name, value in known.items():
+        for name, value in values.items():
             path = path.replace(name, value)
         answer = client.get(path, params={"serial": "A1"} if path == "/v1/units" else None)
         assert answer.status_code == 200, (path, answer.text)
@@ -129,11 +129,13 @@ def test_files_are_those_of_the_export_and_who_took_them_is_kept(client, registr
     answer = client.post("/v1/lots/small/units/A1/files/blob")
     assert answer.status_code == 200, answer.text
     with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
-        given = {name: archive.read(name) for name in archive.namelist()}
+        contents = {name: archive.read(name) for name in archive.namelist()}
     options = ["--serial", "A1", "--format", "blob", "--out", str(tmp_path / "out")]
     assert main(["export", "--registry", calibrated, *options]) == 0
-    assert given and given == {name: (tmp_path / "out" / name).read_bytes() for name in given}
-    assert [row.actor for row in registry.trail.of("units", ("small", "A1")) if row.action == "export"][0] == "Erin"
+    assert contents and contents == {name: (tmp_path / "out" / name).read_bytes() for name in contents}
+    assert [row.actor for row in registry.trail.list_rows("units", ("small", "A1")) if row.action == "export"][
+        0
+    ] == "Erin"
 
 
 def test_files_of_a_unit_that_is_no_longer_released_are_refused_with_the_reason(client, registry):
@@ -158,9 +160,9 @@ def test_a_job_calibrates_and_the_same_key_is_the_same_job(client):
     assert first.status_code == 202, first.text
     again = client.post("/v1/jobs", json={"lot": "small"}, headers=key)
     assert again.json()["job_id"] == first.json()["job_id"]
-    done = client.get(first.headers["location"]).json()
-    assert done["state"] == "done", done["message"]
-    assert done["result"]["lot"] == "small" and done["actor"] == "Erin"
+    finished_job = client.get(first.headers["location"]).json()
+    assert finished_job["state"] == "done", finished_job["message"]
+    assert finished_job["result"]["lot"] == "small" and finished_job["actor"] == "Erin"
     assert len(client.get("/v1/jobs").json()["jobs"]) == 1
 
 
@@ -180,13 +182,13 @@ def test_a_key_belongs_to_one_request_and_one_account(client, client_of, registr
 def test_events_are_read_on_from_where_the_last_answer_ended(client, registry):
     whole = client.get("/v1/events", params={"limit": MAX_ROWS}).json()
     assert whole["is_end"] and {event["type"] for event in whole["events"]} == {"softcal.verdict"}
-    found, after = [], ""
+    rows, after = [], ""
     while True:
         answer = client.get("/v1/events", params={"limit": 1, "after": after}).json()
-        found, after = found + answer["events"], answer["next"]
+        rows, after = rows + answer["events"], answer["next"]
         if answer["is_end"]:
             break
-    assert found == whole["events"]
+    assert rows == whole["events"]
     lot = whole["events"][0]["data"]["lot"]
     registry.calibrations.refuse(lot, "A1", "fail", (plain("broken"),))
     (new,) = client.get("/v1/events", params={"after": after}).json()["events"]
@@ -213,16 +215,16 @@ def test_who_does_not_sign_in_sees_nothing(registry):
     operations = [(m, p) for p, ops in openapi_document(app)["paths"].items() for m in ops]
     assert len(operations) > 15
     for headers in ({}, {"Authorization": "Bearer softcal_wrong"}, {"Authorization": "Basic Zm9v"}):
-        stranger = TestClient(app, headers=headers)
+        anonymous = TestClient(app, headers=headers)
         for method, path in operations:
-            answer = stranger.request(method, path.replace("{job_id}", "0" * 32), json={"lot": "L"})
+            answer = anonymous.request(method, path.replace("{job_id}", "0" * 32), json={"lot": "L"})
             assert answer.status_code == 401, (method, path, answer.text)
             assert answer.headers["content-type"] == "application/problem+json"
-    assert stranger.get("/health").json() == {"status": "ok"}
+    assert anonymous.get("/health").json() == {"status": "ok"}
 
 
 @pytest.mark.parametrize(
-    ("path", "status", "said"),
+    ("path", "status", "message"),
     [
         ("/v1/lots/none", 404, "none"),
         ("/v1/lots/none/units", 404, "none"),
@@ -233,11 +235,11 @@ def test_who_does_not_sign_in_sees_nothing(registry):
         ("/v1/nothing", 404, ""),
     ],
 )
-def test_an_error_is_one_line(client, path, status, said):
+def test_an_error_is_one_line(client, path, status, message):
     answer = client.get(path)
     assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
-    told = answer.json()
-    assert said in told["detail"] and "\n" not in told["detail"] and told["status"] == status
+    problem = answer.json()
+    assert message in problem["detail"] and "\n" not in problem["detail"] and problem["status"] == status
 
 
 def test_another_name_of_the_server_is_refused(client):
@@ -272,15 +274,15 @@ def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypat
 
     monkeypatch.setattr("softcal.app.jobs.launch.launch", lambda job_id, on_end: None)
     token = registry.tokens.add("Erin", "fuzz", 1)[1]
-    known = {"lot": registry.lots.ids()[0], "serial": "A1", "format": "json", "job_id": start_job(registry)}
+    values = {"lot": registry.lots.ids()[0], "serial": "A1", "format": "json", "job_id": start_job(registry)}
     schema = schemathesis.openapi.from_asgi("/openapi.json", rest_app(registry))
-    wanted = [
+    checks_made = [
         checks.not_a_server_error,
         of_openapi.status_code_conformance,
         of_openapi.content_type_conformance,
         of_openapi.response_schema_conformance,
     ]
-    asked = []
+    requests = []
     for result in schema.get_all_operations():
         operation = result.ok()
         try:
@@ -292,21 +294,21 @@ def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypat
             max_examples=EXAMPLES, deadline=None, database=None, derandomize=True,
             suppress_health_check=list(hypothesis.HealthCheck), phases=[hypothesis.Phase.generate],
         )  # fmt: skip
-        @hypothesis.given(case=cases, is_known=strategies.booleans())
-        def ask(case, is_known):
-            if is_known and mode == "positive":
-                case.path_parameters = {name: known[name] for name in case.path_parameters or {}}
+        @hypothesis.given(case=cases, is_signed_in=strategies.booleans())
+        def ask(case, is_signed_in):
+            if is_signed_in and mode == "positive":
+                case.path_parameters = {name: values[name] for name in case.path_parameters or {}}
                 if isinstance(case.body, dict):
-                    case.body["lot"] = known["lot"]
+                    case.body["lot"] = values["lot"]
             answer = case.call(headers={"Authorization": f"Bearer {token}"})
-            asked.append((case.operation.label, answer.status_code))
-            case.validate_response(answer, checks=wanted)
+            requests.append((case.operation.label, answer.status_code))
+            case.validate_response(answer, checks=checks_made)
 
         ask()
-    statuses = {status for _, status in asked}
+    statuses = {status for _, status in requests}
     assert max(statuses) < 500
     assert ({200, 202, 404} if mode == "positive" else {422}) <= statuses
-    assert len({label for label, _ in asked}) > (15 if mode == "positive" else 10)
+    assert len({label for label, _ in requests}) > (15 if mode == "positive" else 10)
 
 
 def start_job(registry: Registry) -> str:
@@ -327,26 +329,26 @@ def requests_of_the_page() -> list[list[str]]:
 
 @pytest.mark.usefixtures("jobs_at_once")
 def test_every_request_of_the_page_is_answered(client):
-    asked = requests_of_the_page()
-    assert len(asked) == 4
-    for words in asked:
-        headers = dict(words[k + 1].split(": ", 1) for k, word in enumerate(words) if word == "-H")
+    requests = requests_of_the_page()
+    assert len(requests) == 4
+    for arguments in requests:
+        headers = dict(arguments[k + 1].split(": ", 1) for k, word in enumerate(arguments) if word == "-H")
         assert headers.pop("Authorization") == "Bearer $TOKEN"
-        body = words[words.index("-d") + 1].replace("lot-1", "small") if "-d" in words else None
-        (address,) = [word for word in words if word.startswith("http://")]
+        body = arguments[arguments.index("-d") + 1].replace("lot-1", "small") if "-d" in arguments else None
+        (address,) = [word for word in arguments if word.startswith("http://")]
         path = address.removeprefix("http://127.0.0.1:8600").replace("lot-1", "small")
-        is_sent = body or words[words.index("-X") + 1 :][:1] == ["POST"] if "-X" in words else body
+        is_sent = body or arguments[arguments.index("-X") + 1 :][:1] == ["POST"] if "-X" in arguments else body
         answer = client.request("POST" if is_sent else "GET", path, content=body, headers=headers)
         assert answer.status_code in (200, 202), (address, answer.text)
 
 
 def test_every_path_of_the_page_is_in_the_document_and_the_other_way_round(registry):
     table = CONNECT.split("## REST")[1].split("\n- **Document**")[0]
-    found = set()
+    paths_asked = set()
     for cell in [line.split("|")[1] for line in table.splitlines() if re.match(r"\| `(GET|POST)", line)]:
         for part in re.findall(r"`([^`]+)`", cell):
             method, _, path = part.rpartition(" ")
             path = re.sub(r"[A-Z]+", lambda match: PARAMETERS[match[0]], path)
-            found.add((method or "GET", f"/v1{path}"))
+            paths_asked.add((method or "GET", f"/v1{path}"))
     paths = openapi_document(rest_app(registry))["paths"]
-    assert found == {(method.upper(), path) for path, methods in paths.items() for method in methods}
+    assert paths_asked == {(method.upper(), path) for path, methods in paths.items() for method in methods}

@@ -17,22 +17,22 @@ from softcal.app.rest.server import openapi_document, rest_app
 from softcal.db.registry import Registry
 from tests.wait import wait_until
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Path:
+def client_file(tmp_path: Path) -> Path:
     assert main(["api", "client", "--out", str(tmp_path / "softcal_client.py")]) == 0
     return tmp_path / "softcal_client.py"
 
 
 @pytest.fixture
-def module(written: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("softcal_client", written)
+def module(client_file: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("softcal_client", client_file)
     assert spec is not None and spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
+    client_module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(client_module)
+    return client_module
 
 
 @pytest.fixture
@@ -55,8 +55,8 @@ def test_every_path_has_a_method_that_names_what_it_takes(module, registry):
         method = getattr(module.Client, operation["operationId"].partition("_v1_")[0])
         # A client keeps no answers: it never asks whether one has changed.
         names = {one["name"] for one in operation.get("parameters", [])} - {"If-None-Match"}
-        wanted = {name.replace("-", "_") for name in names}
-        assert set(inspect.signature(method).parameters) - {"self", "body"} == wanted
+        parameters = {name.replace("-", "_") for name in names}
+        assert set(inspect.signature(method).parameters) - {"self", "body"} == parameters
 
 
 @pytest.mark.long
@@ -85,7 +85,7 @@ def test_what_is_refused_is_one_clear_error(module, registry, address):
 
 
 @pytest.mark.long
-def test_its_types_hold_under_mypy(written):
-    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", str(written)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=written.parent)
-    assert done.returncode == 0, done.stdout
+def test_its_types_hold_under_mypy(client_file):
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", str(client_file)]
+    process = subprocess.run(command, capture_output=True, text=True, check=False, cwd=client_file.parent)
+    assert process.returncode == 0, process.stdout

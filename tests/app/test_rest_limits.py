@@ -98,13 +98,13 @@ def server(small_calibrated, add_everybody, some_port, tmp_path_factory) -> Iter
 
 
 @pytest.fixture
-def own_server(calibrated, add_everybody, some_port, tmp_path) -> Iterator[Served]:
+def separate_server(calibrated, add_everybody, some_port, tmp_path) -> Iterator[Served]:
     """One that the test may break."""
     with served(calibrated, tmp_path, add_everybody, some_port()) as one:
         yield one
 
 
-def answered(connection: socket.socket) -> tuple[int, dict[str, str], bytes]:
+def read_answer(connection: socket.socket) -> tuple[int, dict[str, str], bytes]:
     """Status, headers and what came of the body, until the server ends the connection."""
     content = b""
     try:
@@ -125,7 +125,7 @@ HEAD = "POST /v1/jobs HTTP/1.1\nHost: 127.0.0.1\nContent-Type: application/json\
 def test_who_has_no_token_is_refused_before_a_byte_of_the_body_is_read(server, length):
     begun_s = time.monotonic()
     with server.send(f"{HEAD}{length}\n\n") as connection:
-        status, headers, body = answered(connection)
+        status, headers, body = read_answer(connection)
     assert (status, headers["content-type"]) == (401, PROBLEM) and time.monotonic() - begun_s < 3
     assert json.loads(body)["status"] == 401
 
@@ -144,11 +144,11 @@ def test_a_body_over_64_KiB_is_413_however_it_is_sent(server, is_chunked):
     head = f"{HEAD}Authorization: Bearer {server.token}\n"
     part = b" " * 16384
     if is_chunked:
-        sent = server.send(f"{head}Transfer-Encoding: chunked\n\n", (b"4000\r\n" + part + b"\r\n") * 5)
+        answer = server.send(f"{head}Transfer-Encoding: chunked\n\n", (b"4000\r\n" + part + b"\r\n") * 5)
     else:
-        sent = server.send(f"{head}Content-Length: {65537}\n\n")
-    with sent:
-        status, headers, _ = answered(sent)
+        answer = server.send(f"{head}Content-Length: {65537}\n\n")
+    with answer:
+        status, headers, _ = read_answer(answer)
     assert (status, headers["content-type"]) == (413, PROBLEM)
 
 
@@ -168,8 +168,8 @@ def test_heads_and_bodies_that_are_half_sent_are_let_go(server):
         server.send(f"{HEAD}Authorization: Bearer {server.token}\nContent-Length: 100\n\n", b"{") for _ in range(10)
     ]
     silent = [socket.create_connection(("127.0.0.1", server.port), timeout=30) for _ in range(10)]
-    kept = server.send("GET /health HTTP/1.1\nHost: 127.0.0.1\n\nGET /v1/me HTTP/1.1\nHost:")
-    for connection in (*heads, *bodies, *silent, kept):
+    open_connection = server.send("GET /health HTTP/1.1\nHost: 127.0.0.1\n\nGET /v1/me HTTP/1.1\nHost:")
+    for connection in (*heads, *bodies, *silent, open_connection):
         with connection, suppress(ConnectionResetError):
             while connection.recv(65536):
                 pass
@@ -202,8 +202,8 @@ def test_bodies_that_are_half_sent_keep_nobody_out(server):
 
 
 @pytest.mark.long
-def test_who_reads_no_answer_keeps_nobody_out_and_is_let_go(own_server):
-    server, flood = own_server, []
+def test_who_reads_no_answer_keeps_nobody_out_and_is_let_go(separate_server):
+    server, flood = separate_server, []
     before = server.handles()
     for _ in range(300):
         reader = socket.socket()
@@ -259,10 +259,10 @@ def test_who_does_not_shake_hands_keeps_nobody_out(calibrated, add_everybody, so
 )
 def test_every_refusal_is_a_problem_of_rfc_9457(server, head, status):
     with server.send(head.replace("\n\n", "\nConnection: close\n\n")) as connection:
-        found, headers, body = answered(connection)
+        status_code, headers, body = read_answer(connection)
     # A head that is too long is refused by who sees it first.
-    assert (found, headers["content-type"]) == (json.loads(body)["status"], PROBLEM)
-    assert found == status or (found, status) == (400, 431)
+    assert (status_code, headers["content-type"]) == (json.loads(body)["status"], PROBLEM)
+    assert status_code == status or (status_code, status) == (400, 431)
 
 
 @pytest.mark.parametrize(
@@ -288,22 +288,22 @@ def test_an_answer_that_has_not_changed_is_not_sent_again(server, path):
 
 
 @pytest.mark.long
-def test_a_flood_of_jobs_fills_a_queue_with_a_bound_and_starts_two_processes_at_most(own_server):
-    server = own_server
+def test_a_flood_of_jobs_fills_a_queue_with_a_bound_and_starts_two_processes_at_most(separate_server):
+    server = separate_server
 
     def post(number: int) -> httpx2.Response:
         with server.client() as client:
             return client.post("/v1/jobs", json={"lot": "small"}, headers={"Idempotency-Key": f"k{number}"})
 
-    most = 0
+    max_running = 0
     with concurrent.futures.ThreadPoolExecutor(4) as pool:
-        asked = [pool.submit(post, number) for number in range(3 * MAX_WAITING)]
-        while not all(one.done() for one in asked):
-            most = max(most, len(children(server.pid)))
+        posts = [pool.submit(post, number) for number in range(3 * MAX_WAITING)]
+        while not all(one.done() for one in posts):
+            max_running = max(max_running, len(children(server.pid)))
             time.sleep(0.1)
-    answers = [one.result() for one in asked]
+    answers = [one.result() for one in posts]
     refused = [one for one in answers if one.status_code == 429]
-    assert {one.status_code for one in answers} == {202, 429} and most <= 2
+    assert {one.status_code for one in answers} == {202, 429} and max_running <= 2
     assert all(int(one.headers["retry-after"]) > 0 for one in refused)
     accepted = [one.json()["job_id"] for one in answers if one.status_code == 202]
     with open_registry(server.url) as registry:
@@ -313,15 +313,15 @@ def test_a_flood_of_jobs_fills_a_queue_with_a_bound_and_starts_two_processes_at_
 
 def children(pid: int) -> list[int]:
     """Living processes that a process has started."""
-    found = []
+    pids = []
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, parent = status.read_text().rpartition(")")[2].split()[:2]
         except OSError:
             continue
         if int(parent) == pid and state != "Z":
-            found.append(int(status.parent.name))
-    return found
+            pids.append(int(status.parent.name))
+    return pids
 
 
 def test_a_registry_that_is_away_says_when_to_ask_again_and_comes_back(add_everybody, some_port, tmp_path, require):
@@ -362,11 +362,11 @@ def test_the_document_names_every_closed_set(server):
 
 def enum_of(parts: dict, model: str, field: str) -> list[str]:
     """The values that the document allows for a field."""
-    found, open_parts = [], [parts[model]["properties"][field]]
+    values, open_parts = [], [parts[model]["properties"][field]]
     while open_parts:
         part = open_parts.pop()
         if "$ref" in part:
             part = parts[part["$ref"].rpartition("/")[2]]
-        found += part.get("enum", [part["const"]] if "const" in part else [])
+        values += part.get("enum", [part["const"]] if "const" in part else [])
         open_parts += part.get("anyOf", [])
-    return found
+    return values

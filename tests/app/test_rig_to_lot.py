@@ -32,18 +32,18 @@ def softcal(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     monkeypatch.chdir(tmp_path)
 
-    def call(*words, expected=0):
+    def call(*arguments, expected=0):
         capsys.readouterr()
-        code, said = main([str(word) for word in words]), capsys.readouterr()
-        assert code in ((expected,) if isinstance(expected, int) else expected), said
-        return said.err
+        code, printed = main([str(word) for word in arguments]), capsys.readouterr()
+        assert code in ((expected,) if isinstance(expected, int) else expected), printed
+        return printed.err
 
     return call
 
 
 def press(softcal, kind, serial, seed, path, **more):
-    words = ("--simulated", seed, "--serial", serial, "--out", path, "--spool", "spool", *SHORT[kind])
-    return softcal("station", kind, *words, **more)
+    arguments = ("--simulated", seed, "--serial", serial, "--out", path, "--spool", "spool", *SHORT[kind])
+    return softcal("station", kind, *arguments, **more)
 
 
 @pytest.fixture(scope="module")
@@ -52,24 +52,24 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     for serial, seed, kind in (("A0", 11, "source"), ("A1", 12, "unit"), ("A2", 13, "unit"), ("A3", 14, "unit")):
         path = folder / "lot-1" / ("source" if kind == "source" else "units") / f"{serial}.csv"
-        words = ["--simulated", str(seed), "--serial", serial, "--out", str(path), "--spool", str(folder / "spool")]
-        assert main(["station", kind, *words, *SHORT[kind]]) == 0
+        arguments = ["--simulated", str(seed), "--serial", serial, "--out", str(path), "--spool", str(folder / "spool")]
+        assert main(["station", kind, *arguments, *SHORT[kind]]) == 0
     return folder
 
 
 @pytest.fixture
-def pressed(recorded, tmp_path):
+def pressed_lot(recorded, tmp_path):
     shutil.copytree(recorded, tmp_path, dirs_exist_ok=True)
 
 
 def batch(softcal, tmp_path, lot="lot-1", out="out"):
-    words = ("batch", lot, "--registry", f"sqlite:///{tmp_path / 'r.db'}", "--out", out, "--json", f"{out}.json")
-    softcal(*words, *SMALL, expected=(0, 1))
+    arguments = ("batch", lot, "--registry", f"sqlite:///{tmp_path / 'r.db'}", "--out", out, "--json", f"{out}.json")
+    softcal(*arguments, *SMALL, expected=(0, 1))
     return json.loads((tmp_path / f"{out}.json").read_text())
 
 
 @pytest.mark.long
-def test_a_source_and_three_units_end_in_verdicts_and_import_takes_the_folder_too(softcal, pressed, tmp_path):
+def test_a_source_and_three_units_end_in_verdicts_and_import_takes_the_folder_too(softcal, pressed_lot, tmp_path):
     report = batch(softcal, tmp_path)
     assert {unit["serial"] for unit in report["units"]} == {"A1", "A2", "A3"}
     assert all(unit["map"]["sha256"] for unit in report["units"])
@@ -84,11 +84,11 @@ def test_a_source_and_three_units_end_in_verdicts_and_import_takes_the_folder_to
 
 
 @pytest.mark.long
-def test_an_interrupted_unit_leaves_a_folder_that_batch_takes_and_can_be_pressed_again(softcal, pressed, tmp_path):
+def test_an_interrupted_unit_leaves_a_folder_that_batch_takes_and_can_be_pressed_again(softcal, pressed_lot, tmp_path):
     (tmp_path / "lot-1" / "units" / "A2.csv").unlink()
     (tmp_path / "lot-1" / "units" / "A3.csv").unlink()
-    words = ["station", "unit", "--simulated", "13", "--serial", "A2", "--out", "lot-1/units/A2.csv"]
-    command = [sys.executable, "-m", "softcal.app.cli.main", *words, "--spool", "spool", "--seconds", "3000"]
+    arguments = ["station", "unit", "--simulated", "13", "--serial", "A2", "--out", "lot-1/units/A2.csv"]
+    command = [sys.executable, "-m", "softcal.app.cli.main", *arguments, "--spool", "spool", "--seconds", "3000"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     next(line for line in process.stderr if "pressing" in line)
     process.kill()
@@ -102,7 +102,7 @@ def test_an_interrupted_unit_leaves_a_folder_that_batch_takes_and_can_be_pressed
 
 
 @pytest.mark.long
-def test_a_second_source_run_is_used_or_said(softcal, pressed, tmp_path):
+def test_a_second_source_run_is_used_or_reported(softcal, pressed_lot, tmp_path):
     toml = tmp_path / "lot-1" / "lot.toml"
     toml.write_text(toml.read_text() + "\n[limit]\nrmse = 0.7\n")
     first = batch(softcal, tmp_path)
@@ -115,7 +115,7 @@ def test_a_second_source_run_is_used_or_said(softcal, pressed, tmp_path):
     assert batch(softcal, tmp_path)["network"] != first["network"]
 
 
-def test_what_the_lot_folder_could_not_use_is_refused_before_anything_moves(softcal, pressed, tmp_path):
+def test_what_the_lot_folder_could_not_use_is_refused_before_anything_moves(softcal, pressed_lot, tmp_path):
     shutil.rmtree(tmp_path / "lot-1" / "units")
     same = press(softcal, "unit", "A0", 12, "lot-1/units/A0.csv", expected=2)
     assert "A0" in same and same.count("\n") == 1
@@ -135,7 +135,9 @@ def test_orders_end_in_a_lot_folder_of_which_batch_computes_nothing_again(softca
 
         def order_all() -> None:
             try:
-                wait_until(lambda: (beat := queue.heartbeat("s1")) and beat.state is not StationState.STARTING)
+                wait_until(
+                    lambda: (heartbeat := queue.heartbeat("s1")) and heartbeat.state is not StationState.STARTING
+                )
                 for serial, kind in orders:
                     queue.place(Order(serial, "s1", kind, serial, "L1"))
                     wait_until(lambda serial=serial: not queue.progress(serial).state.is_active)
@@ -189,7 +191,7 @@ def test_the_same_from_a_station_file_over_serial_lines_in_real_time(softcal, tm
     with rig:
         assert rig.stdin is not None and rig.stdout is not None
         (tmp_path / "station.toml").write_text("".join(takewhile(lambda line: line != "end\n", rig.stdout)))
-        words = ("--station", "station.toml", "--spool", "spool")
+        arguments = ("--station", "station.toml", "--spool", "spool")
         for k, (kind, folder) in enumerate([("source", "source"), *[("unit", "units")] * 3]):
             rig.stdin.write(f"{k}\n")
             rig.stdin.flush()
@@ -197,11 +199,11 @@ def test_the_same_from_a_station_file_over_serial_lines_in_real_time(softcal, tm
             path = tmp_path / "lot-1" / folder / f"A{k}.csv"
             for _ in range(PRESSES):
                 order = ("--serial", f"A{k}", "--out", path, *SHORT[kind])
-                said = softcal("station", kind, *words, *order, expected=(0, 3))
+                printed = softcal("station", kind, *arguments, *order, expected=(0, 3))
                 if path.exists():
                     break
                 # A machine that is busy otherwise reads late; then the run is aborted, as it must be.
-                assert str(Reason("left.lifted")) in said
+                assert str(Reason("left.lifted")) in printed
         rig.stdin.close()
     report = batch(softcal, tmp_path)
     assert {unit["serial"] for unit in report["units"]} == {"A1", "A2", "A3"}

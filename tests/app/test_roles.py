@@ -195,7 +195,7 @@ def test_one_person_at_their_own_machine_needs_no_account(new_registry, show, at
 @pytest.mark.parametrize("station", ["line-1", "simulated-1"])
 def test_a_real_station_asks_for_an_account(new_registry, show, at_home, station) -> None:
     with open_registry(new_registry) as registry:
-        registry.order_queue.beat(Heartbeat(station, StationState.READY, datetime.now(UTC), process="a:1"))
+        registry.order_queue.write_heartbeat(Heartbeat(station, StationState.READY, datetime.now(UTC), process="a:1"))
     screen = show(new_registry, "lots", role=None, tab="files")
     assert bool(screen.get("file_uploader")) is (station == "simulated-1")
 

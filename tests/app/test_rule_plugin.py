@@ -28,9 +28,9 @@ def _python(site: Path | None, code: str, *arguments: str) -> subprocess.Complet
 
 def _batch(site: Path | None, folder: Path, registry_url: str, out: Path) -> dict[str, dict[str, object]]:
     arguments = ["batch", str(folder), "--registry", registry_url, "--hidden", "16,8"]
-    done = _python(site, SOFTCAL, *arguments, "--out", str(out), "--json", "-")
-    assert done.returncode in (0, 1), done.stderr
-    return {unit["serial"]: unit for unit in json.loads(done.stdout)["units"]}
+    process = _python(site, SOFTCAL, *arguments, "--out", str(out), "--json", "-")
+    assert process.returncode in (0, 1), process.stderr
+    return {unit["serial"]: unit for unit in json.loads(process.stdout)["units"]}
 
 
 def test_the_example_rule_conforms(installed):
@@ -42,15 +42,15 @@ print([(name, faults(rule)) for name, rule in RULES.items()])
     assert _python(installed, code).stdout.strip() == "[('rest band 1', [])]"
 
 
-def test_a_unit_that_a_rule_objects_to_is_held_back_and_judged_anew_without_the_rule(
+def test_a_unit_that_a_rule_objects_to_is_blocked_and_decided_anew_without_the_rule(
     installed, lot_folder, registry_url, tmp_path
 ):
     out = tmp_path / "files"
     free = _batch(None, lot_folder, registry_url, out)
     assert {unit["verdict"] for unit in free.values()} == {"pass"} and any(out.glob("unit-A3*"))
-    held = _batch(installed, lot_folder, registry_url, out)
-    assert {serial: unit["verdict"] for serial, unit in held.items()} == {"A1": "pass", "A2": "pass", "A3": "fail"}
-    assert [one for one in held["A3"]["reasons"] if "rest band" in one and "0.62 V" in one]  # type: ignore[attr-defined]
+    units = _batch(installed, lot_folder, registry_url, out)
+    assert {serial: unit["verdict"] for serial, unit in units.items()} == {"A1": "pass", "A2": "pass", "A3": "fail"}
+    assert [one for one in units["A3"]["reasons"] if "rest band" in one and "0.62 V" in one]  # type: ignore[attr-defined]
     assert not any(out.glob("unit-A3*")), "the file of a unit that is held back stays in the folder"
     again = _batch(None, lot_folder, registry_url, out)
     assert {unit["verdict"] for unit in again.values()} == {"pass"} and any(out.glob("unit-A3*"))

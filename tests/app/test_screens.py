@@ -47,16 +47,16 @@ def test_a_unit_shows_its_verdict_its_reasons_and_its_history(calibrated, show):
 
 
 def test_the_audit_trail_names_who_did_what(calibrated, show):
-    shown = show(calibrated, "settings", tab="audit_trail", role="quality").dataframe[0].value.to_string()
-    assert all(name in shown for name in ("small", "A1", "A4"))
+    text = show(calibrated, "settings", tab="audit_trail", role="quality").dataframe[0].value.to_string()
+    assert all(name in text for name in ("small", "A1", "A4"))
 
 
 @pytest.mark.parametrize("language", texts.LANGUAGES)
 def test_a_unit_without_a_map_says_why_in_the_language_of_the_reader(calibrated, show, language):
     with open_registry(calibrated) as registry:
         (why,) = registry.lots.units("small", "A4")[0].reasons
-    shown = show(calibrated, "unit", role=None, unit="A4", lang=language).info[0].value
-    assert render_reason(why, partial(texts.text, language)) in shown
+    text = show(calibrated, "unit", role=None, unit="A4", lang=language).info[0].value
+    assert render_reason(why, partial(texts.text, language)) in text
     lot = show(calibrated, "lot", role=None, lang=language)
     assert texts.text(language, "lot.yield") in {metric.label for metric in lot.metric}
 
@@ -88,9 +88,9 @@ def test_a_trained_network_is_a_draft_until_somebody_releases_it_with_a_reason(c
         other = replace(registry.networks.get(first.id), output_mean=0.61)
         trial = registry.networks.add("small", other, {"validation_rmse": 0.05}, {}, "b" * 64, actor="Erin")
     screen = show(calibrated, "lot", tab="networks", role="engineer")
-    shown = screen.table[0].value.to_dict("records")
+    rows = screen.table[0].value.to_dict("records")
     states = [texts.text("en", key) for key in ("networks.state.draft", "networks.in_use")]
-    assert [state in row.values() for state, row in zip(states, shown, strict=True)] == [True, True]
+    assert [state in row.values() for state, row in zip(states, rows, strict=True)] == [True, True]
     screen.text_input(key=f"reason-text-release-{trial[:12]}-draft").set_value("half the error")
     next(button for button in screen.button if button.label == texts.text("en", "networks.release.do")).click().run()
     assert not screen.exception and screen.success

@@ -33,8 +33,8 @@ def line_url(require):
     mark = uuid.uuid4().hex[:8]
     name, line = f"softcal_test_{mark}", f"line_{mark}"
     reader, manager = f"reader_{mark}", f"manager_{mark}"
-    made = (f"DATABASE {name}", f"ROLE {line} LOGIN PASSWORD 'hush'", f"ROLE {reader}", f"ROLE {manager}")
-    for one in made:
+    statements = (f"DATABASE {name}", f"ROLE {line} LOGIN PASSWORD 'hush'", f"ROLE {reader}", f"ROLE {manager}")
+    for one in statements:
         admin.execute(text(f"CREATE {one}"))
     owner = admin.engine.url.set(database=name)
     with open_registry(owner.render_as_string(hide_password=False)) as registry:
@@ -65,5 +65,5 @@ def test_one_line_of_configuration_is_enough(lot_folder: Path, line_url: str, tm
     assert {unit["serial"] for unit in json.loads(listed.stdout)["units"]} == {"A0", "A1", "A2", "A3"}
     whole = softcal(line_url, "registry", "verify")
     assert whole.returncode == 0
-    for done in (again, listed, whole):
-        assert "hush" not in done.stdout + done.stderr
+    for process in (again, listed, whole):
+        assert "hush" not in process.stdout + process.stderr

@@ -40,8 +40,8 @@ def _batch(folder: Path, url: str) -> tuple[int, dict[str, dict]]:
 
 def _renamed(folder: Path, serials: dict[str, str], form: str = "NFC") -> Path:
     for old, new in serials.items():
-        for place in ("units", "audit"):
-            (folder / place / f"{old}.csv").rename(folder / place / f"{unicodedata.normalize(form, new)}.csv")
+        for subfolder in ("units", "audit"):
+            (folder / subfolder / f"{old}.csv").rename(folder / subfolder / f"{unicodedata.normalize(form, new)}.csv")
     return folder
 
 
@@ -62,14 +62,14 @@ def korean(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_serial_of_any_script_has_every_export(korean: str, tmp_path: Path, name: str) -> None:
     out = tmp_path / "out"
-    wanted = [word for serial in SERIALS.values() for word in ("--serial", serial)]
+    options = [word for serial in SERIALS.values() for word in ("--serial", serial)]
     assert (
         main(
             [
                 "export",
                 "--registry",
                 korean,
-                *wanted,
+                *options,
                 "--format",
                 name,
                 "--out",
@@ -81,21 +81,21 @@ def test_a_serial_of_any_script_has_every_export(korean: str, tmp_path: Path, na
         )
         == 0
     )
-    own = [path.name for path in out.iterdir() if path.name.startswith(("unit-", "certificate-"))]
-    assert len(own) == 3 and all(file.isascii() for file in own)
-    assert {unescape_serial(file.partition("-")[2].rpartition(".")[0]) for file in own} == set(SERIALS.values())
+    unit_files = [path.name for path in out.iterdir() if path.name.startswith(("unit-", "certificate-"))]
+    assert len(unit_files) == 3 and all(file.isascii() for file in unit_files)
+    assert {unescape_serial(file.partition("-")[2].rpartition(".")[0]) for file in unit_files} == set(SERIALS.values())
     assert not check_folder(out).problems
     assert set(json.loads((out / "manifest.json").read_text())["units"]) == set(SERIALS.values())
 
 
 def test_a_device_file_names_its_unit_and_no_other(korean: str, tmp_path: Path) -> None:
-    wanted = [word for serial in SERIALS.values() for word in ("--serial", serial)]
+    options = [word for serial in SERIALS.values() for word in ("--serial", serial)]
     main(
         [
             "export",
             "--registry",
             korean,
-            *wanted,
+            *options,
             "--format",
             "blob",
             "--out",
@@ -120,13 +120,13 @@ def test_headers_of_several_units_compile_together(
     korean: str, tmp_path: Path, require: Callable[[object, str], None]
 ) -> None:
     require(shutil.which("cc"), "no C compiler")
-    wanted = [word for serial in SERIALS.values() for word in ("--serial", serial)]
+    options = [word for serial in SERIALS.values() for word in ("--serial", serial)]
     main(
         [
             "export",
             "--registry",
             korean,
-            *wanted,
+            *options,
             "--format",
             "c",
             "--out",

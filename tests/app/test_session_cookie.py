@@ -29,8 +29,8 @@ def test_no_script_can_read_a_sign_in_and_it_outlives_a_reload(screen, page: Pag
     secret = [cookie for name, cookie in cookies.items() if name == "session" or name.startswith("machine_")]
     assert len(secret) == 2
     assert all(cookie["httpOnly"] and cookie["sameSite"] == "Strict" for cookie in secret)
-    shown = page.evaluate("document.cookie")
-    assert not [cookie for cookie in secret if cookie["value"] in shown or cookie["name"] in shown]
+    cookie_text = page.evaluate("document.cookie")
+    assert not [cookie for cookie in secret if cookie["value"] in cookie_text or cookie["name"] in cookie_text]
     page.reload()
     page.get_by_role("heading", name="Erin").wait_for()
     page.get_by_role("button", name="Sign out").click()
@@ -56,7 +56,7 @@ def test_a_ticket_that_nobody_was_given_sets_nothing(screen):
 
 
 def test_dropped_recordings_lie_in_one_folder_that_goes_with_the_server(screen, page: Page, sign_in, tmp_path: Path):
-    def left() -> list[Path]:
+    def files_left() -> list[Path]:
         return [path for path in tmp_path.rglob("*") if path.name == "U1.csv" or "upload-" in path.name]
 
     (tmp_path / "U1.csv").write_text("t_s,output\n" + "".join(f"{k / 50},{k % 7}\n" for k in range(500)))
@@ -66,24 +66,24 @@ def test_dropped_recordings_lie_in_one_folder_that_goes_with_the_server(screen, 
     for name in ("audit", "known_loads", "new_lot"):
         page.goto(f"{screen.address}/{name}")
         page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for()
-    assert left() == []
+    assert files_left() == []
     for is_killed in (False, True):
         page.goto(f"{screen.address}/new_lot")
         page.locator("input[type=file]").set_input_files([drop])
         page.get_by_text("U1.csv").first.wait_for()
         page.wait_for_timeout(3000)
-        assert len(left()) == 1
+        assert len(files_left()) == 1
         if is_killed:
             screen.kill()
         else:
             screen.end()
-            assert left() == []
+            assert files_left() == []
         screen.start()
-        assert left() == []
+        assert files_left() == []
         sign_in(screen.address, "engineer")
 
 
-def test_a_dropped_recording_is_gone_with_its_tab(own_data):
+def test_a_dropped_recording_is_gone_with_its_tab(separate_data_folder):
     folder = UploadFolder()
     recording = folder.path / "U1.csv"
     recording.write_text("t_s,output\n")

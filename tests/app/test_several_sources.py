@@ -13,37 +13,37 @@ from softcal.db.connection import open_registry
 SMALL = ["--hidden", "16,8", "--no-own"]
 
 
-def bent(load_N: np.ndarray, bend: float) -> np.ndarray:
+def bent(load_N: np.ndarray, curvature: float) -> np.ndarray:
     """Return the output under a load: a straight sensor at 0, one that answers late and then steeply above."""
     level = load_N / 3.0
-    return 0.5 + 0.4 * ((1 - bend) * level + bend * level**3)
+    return 0.5 + 0.4 * ((1 - curvature) * level + curvature * level**3)
 
 
-def press(seed: int, bend: float, gain: float = 1.0) -> pd.DataFrame:
+def press(seed: int, curvature: float, gain: float = 1.0) -> pd.DataFrame:
     rng = np.random.default_rng(seed)
     parts = []
     for peak in rng.uniform(1.0, 3.0, 60):
         up, down = rng.integers(10, 30, 2)
         parts += [np.linspace(0, peak, up), np.linspace(peak, 0, down), np.zeros(5)]
     load_N = np.concatenate(parts)
-    output = 0.05 + gain * bent(load_N, bend) + rng.normal(0, 0.0005, len(load_N))
+    output = 0.05 + gain * bent(load_N, curvature) + rng.normal(0, 0.0005, len(load_N))
     return pd.DataFrame({"t_s": np.arange(len(load_N)) / 50.0, "output": output, "reference": load_N})
 
 
 @pytest.fixture
 def tables(tmp_path: Path) -> Path:
     """Two sources, straight and bent, and a unit of either kind."""
-    made = {"S1": (1, 0.0), "S2": (2, 0.6), "STRAIGHT": (3, 0.0, 1.2), "BENT": (4, 0.6, 1.2)}
-    for name, how in made.items():
+    presses = {"S1": (1, 0.0), "S2": (2, 0.6), "STRAIGHT": (3, 0.0, 1.2), "BENT": (4, 0.6, 1.2)}
+    for name, how in presses.items():
         press(*how).to_csv(tmp_path / f"{name}.csv", index=False)
     return tmp_path
 
 
 def imported(tables: Path, *sources: str) -> int:
     files = [str(tables / f"{name}.csv") for name in ("S1", "S2", "STRAIGHT", "BENT")]
-    named = [word for serial in sources for word in ("--source", serial)]
+    options = [word for serial in sources for word in ("--source", serial)]
     columns = ["--output-column", "output", "--reference-column", "reference", "--sample-rate", "50"]
-    return main(["import", *files, *named, *columns, "--out", str(tables / "lot")])
+    return main(["import", *files, *options, *columns, "--out", str(tables / "lot")])
 
 
 @pytest.mark.long

@@ -61,7 +61,7 @@ def test_a_table_below_a_preamble_keeps_its_rows_of_the_sheet(tmp_path: Path) ->
     assert table.layout == "header in line 3; units in line 4" and "'Max'" in table.remarks[0]
 
 
-def test_a_summary_below_the_samples_is_left_out_and_said(tmp_path: Path) -> None:
+def test_a_summary_below_the_samples_is_left_out_and_reported(tmp_path: Path) -> None:
     below = [(), ("Mean", 0.55), (None, "SD:")]
     table = read_table(_workbook(tmp_path / "a.xlsx", Data=[*ROWS, *below]))
     assert len(table) == 30 and "'Mean'" in table.remarks[0]

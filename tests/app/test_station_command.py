@@ -33,8 +33,8 @@ def softcal():
     """Run `softcal station ...` as the command line does, and give its exit code."""
     parser = command_parser(["station"])
 
-    def call(*words: object) -> int:
-        options = parser.parse_args(["station", *map(str, words)])
+    def call(*arguments: object) -> int:
+        options = parser.parse_args(["station", *map(str, arguments)])
         return int(options.run(options) or 0)
 
     return call
@@ -56,8 +56,8 @@ def test_check_names_every_port_that_is_missing(softcal):
 @pytest.mark.long
 def test_source_and_unit_end_in_a_lot_folder_as_it_is_read(softcal, tmp_path):
     for kind, path, seconds in (("source", "lot-1/source/A0.csv", 20), ("unit", "lot-1/units/A1.csv", 6)):
-        words = ("--serial", path[-6:-4], "--out", tmp_path / path, "--seconds", seconds, "--spool", tmp_path)
-        assert softcal(kind, "--simulated", 4, *words) == 0
+        arguments = ("--serial", path[-6:-4], "--out", tmp_path / path, "--seconds", seconds, "--spool", tmp_path)
+        assert softcal(kind, "--simulated", 4, *arguments) == 0
     folder = open_lot_folder(tmp_path / "lot-1")
     assert (folder.lot.id, folder.lot.source, folder.lot.sample_rate_Hz) == ("lot-1", "A0", 50.0)
     labelled = folder.read_source()
@@ -132,10 +132,10 @@ def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
     ports = [word for wire in wires for word in ("--port", wire.port)]
     with rig.world.in_background():
         command = [sys.executable, "-m", "softcal.app.cli.main", "station", "check", *ports, "--write", str(path)]
-        found = subprocess.run(command, capture_output=True, text=True, check=False)
+        process = subprocess.run(command, capture_output=True, text=True, check=False)
     rig.close()
     # The scale of the cell is not known yet: the check writes the rest.
-    assert found.returncode == 3, found.stderr
+    assert process.returncode == 3, process.stderr
     config = read_station_file(path)
     assert config.force is not None
     assert [config.readout.port, config.force.port, config.stage.port] == [wire.port for wire in wires]
@@ -144,11 +144,11 @@ def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
 
 @pytest.mark.long
 def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
-    words = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(tmp_path / "A1.csv")]
-    words += ["--seconds", "3000", "--spool", str(tmp_path / "spool")]
+    arguments = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(tmp_path / "A1.csv")]
+    arguments += ["--seconds", "3000", "--spool", str(tmp_path / "spool")]
     code = (
         "from softcal.app.cli.main import command_parser; "
-        f"options = command_parser(['station']).parse_args({words!r}); options.run(options)"
+        f"options = command_parser(['station']).parse_args({arguments!r}); options.run(options)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
     wait_until(lambda: process.poll() is not None or sum(p.stat().st_size for p in tmp_path.glob("spool/*")) >= 20_000)
@@ -184,12 +184,12 @@ PRESS = ("unit", "--serial", "A1", "--out", "A1.csv")
     ],
 )
 def test_a_signal_in_a_command_that_moves_lifts_the_stage_and_says_so(tmp_path, command, wait_for, name):
-    words = [SOFTCAL, "station", *command, "--simulated", "--spool", str(tmp_path / "spool")]
+    arguments = [SOFTCAL, "station", *command, "--simulated", "--spool", str(tmp_path / "spool")]
     environment = os.environ | {"SOFTCAL_LOGS": str(tmp_path / "logs"), "PYTHONUNBUFFERED": "1"}
     # Tests that a shell runs in the background inherit that Ctrl-C is ignored.
-    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    restore_interrupt = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     with subprocess.Popen(
-        words, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, preexec_fn=heard
+        arguments, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, preexec_fn=restore_interrupt
     ) as process:
         for line in process.stderr:
             if wait_for in line:

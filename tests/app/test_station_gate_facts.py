@@ -104,7 +104,7 @@ def test_an_override_that_a_clock_a_day_ahead_gave_ends_with_that_clock(registry
     assert not gate(OrderKind.UNIT, WARM).is_open
 
 
-def test_a_golden_unit_without_calibration_cannot_judge(registry):
+def test_a_golden_unit_without_calibration_decides_nothing(registry):
     registry.lots.add(Lot("L1", "A0", 50.0))
     t_s = np.arange(100) / 50
     recording = LabelledRecording(OutputRecording("G1", t_s, np.sin(t_s), 50.0), np.cos(t_s))
@@ -140,8 +140,8 @@ def test_a_good_check_of_a_clock_that_was_ahead_opens_nothing(registry):
 def test_units_of_two_lots_with_one_serial_are_held_each_by_its_own_name(registry):
     queue = registry.order_queue
     for number, lot_id in enumerate(("L1", "L2")):
-        pressed = NOW - timedelta(minutes=30 - number)
-        queue.place(Order(f"o{number}", "s1", OrderKind.UNIT, "A1", lot_id, created=pressed))
+        pressed_at = NOW - timedelta(minutes=30 - number)
+        queue.place(Order(f"o{number}", "s1", OrderKind.UNIT, "A1", lot_id, created=pressed_at))
         queue.report(Progress(f"o{number}", RunState.DONE, recording_sha256="abc"))
     golden(registry, False)
     assert quarantine(registry, "s1", datetime.now(UTC)) == ("L1/A1", "L2/A1")
@@ -152,6 +152,6 @@ def test_the_last_unit_of_a_station_has_the_lot_that_it_is_of(registry):
     queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1", created=NOW - timedelta(minutes=5)))
     queue.report(Progress("o1", RunState.DONE, verdict="pass"))
     queue.place(Order("o2", "s1", OrderKind.UNIT, "A1", "L2"))
-    told = station_json(registry, Heartbeat("s1", StationState.RUNNING, datetime.now(UTC)))
-    assert (told["serial"], told["lot"]) == ("A1", "L2")
-    assert (told["last_serial"], told["last_lot"]) == ("A1", "L1")
+    content = station_json(registry, Heartbeat("s1", StationState.RUNNING, datetime.now(UTC)))
+    assert (content["serial"], content["lot"]) == ("A1", "L2")
+    assert (content["last_serial"], content["last_lot"]) == ("A1", "L1")

@@ -21,7 +21,7 @@ def opened(registry):
 
 def test_the_command_writes_figures_limits_and_how_long_they_hold_and_the_gate_reads_them(tmp_path):
     url, page, report = f"sqlite:///{tmp_path / 'r.db'}", tmp_path / "page.md", tmp_path / "page.json"
-    words = [
+    arguments = [
         "station",
         "qualify",
         "--simulated",
@@ -34,7 +34,7 @@ def test_the_command_writes_figures_limits_and_how_long_they_hold_and_the_gate_r
         "--registry",
         url,
     ]
-    options = command_parser(["station"]).parse_args(list(map(str, words)))
+    options = command_parser(["station"]).parse_args(list(map(str, arguments)))
     code = options.run(options)
     content = json.loads(report.read_text())
     assert code == (0 if content["is_passed"] else 1)

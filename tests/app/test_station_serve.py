@@ -41,15 +41,17 @@ class Line:
 
     def wait_for(self, is_so):
         heartbeat = partial(self.queue.heartbeat, "s1")
-        return wait_until(lambda: (beat := heartbeat()) and is_so(beat) and beat, heartbeat)
+        return wait_until(
+            lambda: (station_heartbeat := heartbeat()) and is_so(station_heartbeat) and station_heartbeat, heartbeat
+        )
 
-    def place(self, kind, serial="", reason=""):
+    def place_order(self, kind, serial="", reason=""):
         self.count += 1
         self.queue.place(Order(f"o{self.count}", "s1", OrderKind(kind), serial, "L1", "kim", reason))
         return f"o{self.count}"
 
     def order(self, kind, serial="", reason=""):
-        return self.ended(self.place(kind, serial, reason))
+        return self.ended(self.place_order(kind, serial, reason))
 
     def ended(self, order_id):
         progress = partial(self.queue.progress, order_id)
@@ -75,8 +77,8 @@ def served(tmp_path, **changes):
 @pytest.fixture(scope="module")
 def line(tmp_path_factory):
     with served(tmp_path_factory.mktemp("line")) as line:
-        done = line.order("source", "A0")
-        assert (done.state, done.message[0].code) == (RunState.DONE, "run.trained"), done.text
+        order = line.order("source", "A0")
+        assert (order.state, order.message[0].code) == (RunState.DONE, "run.trained"), order.text
         yield line
 
 
@@ -87,12 +89,12 @@ def test_a_source_begins_its_lot_and_trains_its_network(line):
 
 
 def test_a_unit_gets_its_verdict_in_its_order_and_in_the_registry(line):
-    done = line.order("unit", "A1")
-    assert done.state is RunState.DONE and done.text
-    assert done.verdict in ("pass", "conditional", "fail", "retest")
+    order = line.order("unit", "A1")
+    assert order.state is RunState.DONE and order.text
+    assert order.verdict in ("pass", "conditional", "fail", "retest")
     (unit,) = [unit for unit in line.registry.lots.units("L1") if unit.serial == "A1"]
-    assert (unit.verdict, unit.reasons) == (done.verdict, done.message)
-    assert line.registry.recordings.get(done.recording_sha256).serial == "A1"
+    assert (unit.verdict, unit.reasons) == (order.verdict, order.message)
+    assert line.registry.recordings.get(order.recording_sha256).serial == "A1"
 
 
 @pytest.mark.long
@@ -119,15 +121,15 @@ def test_a_fault_in_mid_run_stops_the_station_and_an_acknowledgement_brings_it_b
     assert line.order("fault", reason="load cell unplugged while pressing").state is RunState.DONE
     broken = line.order("unit", "A3")
     assert (broken.state, broken.code, broken.verdict) == (RunState.ERROR, "E-SILENT", "")
-    beat = line.wait_for(lambda beat: beat.state is StationState.STOPPED)
-    assert "load cell" in broken.text and "load cell" in str(beat.reasons[0])
+    heartbeat = line.wait_for(lambda heartbeat: heartbeat.state is StationState.STOPPED)
+    assert "load cell" in broken.text and "load cell" in str(heartbeat.reasons[0])
     assert line.order("unit", "A3").code == "E-GATE"
     line.order("acknowledge")
     assert line.order("unit", "A3").state is RunState.DONE
 
 
 @pytest.mark.long
-def test_a_golden_unit_is_judged_and_one_out_of_control_quarantines_what_was_pressed(line):
+def test_a_golden_unit_is_decided_and_one_out_of_control_quarantines_what_was_pressed(line):
     line.order("unit", "G1")
     assert line.order("golden", "G1").verdict == "pass"
     line.order("unit", "A5")
@@ -148,7 +150,7 @@ def test_an_unknown_fault_names_the_known_ones(line):
 def test_a_stop_before_the_run_began_means_that_run_too(line):
     # Both orders are there before the service looks: the stop must not leave the run behind it standing.
     with line.registry.transaction():
-        run, stop = line.place("unit", "A4"), line.place("stop")
+        run, stop = line.place_order("unit", "A4"), line.place_order("stop")
     line.ended(stop)
     assert line.queue.progress(run).state is RunState.CANCELLED
     assert line.queue.progress(run).phase == ""
@@ -156,8 +158,8 @@ def test_a_stop_before_the_run_began_means_that_run_too(line):
 
 def test_the_gate_tells_every_condition_and_an_override_opens_it(tmp_path):
     with served(tmp_path, rules=GateRules()) as line:
-        beat = line.wait_for(lambda beat: beat.state is StationState.CLOSED)
-        assert {str(c.name): c.is_good for c in beat.gate} == {
+        heartbeat = line.wait_for(lambda heartbeat: heartbeat.state is StationState.CLOSED)
+        assert {str(c.name): c.is_good for c in heartbeat.gate} == {
             "certificate": False,
             "warm-up": False,
             "zero return": True,
@@ -172,8 +174,8 @@ def test_the_gate_tells_every_condition_and_an_override_opens_it(tmp_path):
             CellCertificate("SIM-CELL", "17", "Lab", date(2020, 1, 1), date(2090, 1, 1), 20.0, 0.02)
         )
         assert line.order("override", reason="first set-up").state is RunState.DONE
-        beat = line.wait_for(lambda beat: beat.is_overridden)
-        assert beat.state is StationState.READY
+        heartbeat = line.wait_for(lambda heartbeat: heartbeat.is_overridden)
+        assert heartbeat.state is StationState.READY
         assert line.order("check").state is RunState.DONE
 
 

@@ -26,9 +26,9 @@ LONG = (
     "own error of 0.0257 N, since no limit was stated)"
 )
 KOREAN = "예측 오차는 한계 안에 있음; 로드셀로 측정하십시오 " * 6
-MADE = "2026-11-27 21:09:09 UTC+09:00"
+INSTANT = "2026-11-27 21:09:09 UTC+09:00"
 UNITS = [
-    ["lot-2", "A1", "target", "conditional", 12, "synchronous", 0.03218, 1.051, 0.02863, 0.02411, MADE, LONG],
+    ["lot-2", "A1", "target", "conditional", 12, "synchronous", 0.03218, 1.051, 0.02863, 0.02411, INSTANT, LONG],
     [
         "2026-48-압력",
         "센서-0001-가나다라",
@@ -40,18 +40,18 @@ UNITS = [
         12340.0,
         None,
         None,
-        MADE,
+        INSTANT,
         KOREAN,
     ],
     ["L" * 64, "S" * 64, "source", None, None, None, None, None, None, None, None, ""],
 ]
 HISTORY = [
-    [104, "7d02dd0b7613", "yes", MADE, "김민수 (engineer)", "2026-48", "conditional", "averaged", 0.1, None, LONG],
-    [1, "7d02dd0b7613", "", MADE, "root", "2026-48", "pass", "two_point", 0.1, 0.12, "batch"],
+    [104, "7d02dd0b7613", "yes", INSTANT, "김민수 (engineer)", "2026-48", "conditional", "averaged", 0.1, None, LONG],
+    [1, "7d02dd0b7613", "", INSTANT, "root", "2026-48", "pass", "two_point", 0.1, 0.12, "batch"],
 ]
 
 
-def places(text: str) -> int:
+def terminal_width(text: str) -> int:
     """Return the places a text takes in a terminal, by the Unicode database."""
     return sum(2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
 
@@ -65,20 +65,20 @@ def squeezed(text: str) -> str:
 def test_a_table_fits_and_nothing_of_it_is_cut_off(monkeypatch, capsys, columns, header, rows) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
     print_table(header, rows)
-    told = capsys.readouterr().out
-    assert max(map(places, told.splitlines())) <= columns
+    stdout = capsys.readouterr().out
+    assert max(map(terminal_width, stdout.splitlines())) <= columns
     for row in rows:
         for cell in row:
             if isinstance(cell, str):
-                assert squeezed(cell) in squeezed(told)
+                assert squeezed(cell) in squeezed(stdout)
 
 
 def test_columns_stand_under_one_another_whatever_their_letters(monkeypatch, capsys) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     print_table(("serial", "verdict"), [["센서-1", "pass"], ["A1", "fail"]])
     lines = capsys.readouterr().out.splitlines()
-    words = zip(lines, ("verdict", "-------", "pass", "fail"), strict=True)
-    starts = {places(line[: line.rindex(word)]) for line, word in words}
+    cells = zip(lines, ("verdict", "-------", "pass", "fail"), strict=True)
+    starts = {terminal_width(line[: line.rindex(word)]) for line, word in cells}
     assert starts == {8}
 
 
@@ -102,15 +102,15 @@ def test_a_terminal_is_written_in_its_width_and_verdicts_keep_their_colour(monke
     monkeypatch.delenv("NO_COLOR", raising=False)
     print_table(UNIT_HEADER, UNITS[:2])
     plainly = re.sub(r"\x1b\[[0-9;]*m", "", screen.getvalue())
-    assert plainly != screen.getvalue() and max(map(places, plainly.splitlines())) <= 80
+    assert plainly != screen.getvalue() and max(map(terminal_width, plainly.splitlines())) <= 80
 
 
 @pytest.mark.parametrize("columns", [60, 80, 120])
 def test_reasons_fit(monkeypatch, capsys, columns) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
     print_reasons(", ".join(f"UNIT-{k:04}" for k in range(40)), [LONG, KOREAN])
-    told = capsys.readouterr().out
-    assert max(map(places, told.splitlines())) <= columns and squeezed(KOREAN) in squeezed(told)
+    stdout = capsys.readouterr().out
+    assert max(map(terminal_width, stdout.splitlines())) <= columns and squeezed(KOREAN) in squeezed(stdout)
 
 
 @pytest.mark.parametrize("columns", [30, 80])
@@ -123,7 +123,7 @@ def test_progress_is_one_line_of_a_terminal(monkeypatch, columns) -> None:
     for _ in range(50):
         progress.step("압력센서-0001-가나다라마바사아자차카타파하-가나다라마바사 conditional")
     lines = [line.removeprefix("\x1b[K") for line in screen.getvalue().split("\r") if line]
-    assert len(lines) > 10 and all(places(line) < columns and "/12000 units" in line for line in lines)
+    assert len(lines) > 10 and all(terminal_width(line) < columns and "/12000 units" in line for line in lines)
 
 
 def unit(serial: str, verdict: str, *reasons: Reason) -> UnitResult:
@@ -146,7 +146,7 @@ def test_equal_reasons_are_one_line_with_their_units() -> None:
     assert reasons == [str(measure)]
 
 
-def test_a_reason_whose_numbers_differ_is_said_once_with_their_range() -> None:
+def test_a_reason_whose_numbers_differ_is_reported_once_with_their_range() -> None:
     units = [unit(f"A{count}", "retest", dead(count)) for count in (3, 88, 7)]
     ((_, (line,)),) = listed(units)
     assert "rows: 3 to 88, in all: 1500" in line
@@ -202,7 +202,7 @@ def test_what_is_to_be_done_next_comes_first_and_a_reason_of_some_names_them() -
     assert reasons[0] == [str(some), f"R2: {other}"]
 
 
-def test_a_lot_of_equal_units_is_said_in_few_lines(monkeypatch, capsys) -> None:
+def test_a_lot_of_equal_units_is_reported_in_few_lines(monkeypatch, capsys) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     for subject, reasons in listed([unit(f"A{k:04}", "conditional", Reason("forecast_only")) for k in range(500)]):
         print_reasons(subject, reasons)
@@ -214,11 +214,11 @@ def test_the_list_of_the_registry_fits(calibrated, monkeypatch, capsys) -> None:
         monkeypatch.setenv("COLUMNS", str(columns))
         assert main(["registry", "list", "--registry", calibrated]) == 0
         assert main(["registry", "history", "--serial", "A1", "--registry", calibrated]) == 0
-        assert max(map(places, capsys.readouterr().out.splitlines())) <= columns
+        assert max(map(terminal_width, capsys.readouterr().out.splitlines())) <= columns
 
 
-def entry(serial: str, verdict: str | None, *reasons: Reason, **facts: bool) -> UnitEntry:
-    return UnitEntry("lot-1", serial, "target", verdict, reasons, **facts)
+def entry(serial: str, verdict: str | None, *reasons: Reason, **flags: bool) -> UnitEntry:
+    return UnitEntry("lot-1", serial, "target", verdict, reasons, **flags)
 
 
 def test_a_list_has_the_first_reason_of_each_unit_and_equal_ones_once() -> None:
@@ -246,7 +246,7 @@ def test_a_long_list_of_korean_units_has_a_line_or_two_a_unit(calibrated, monkey
     monkeypatch.setenv("COLUMNS", str(columns))
     assert main(["registry", "list", "--registry", calibrated]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(places, lines)) <= columns and len(lines) < 2 * len(many) + 10
+    assert max(map(terminal_width, lines)) <= columns and len(lines) < 2 * len(many) + 10
     assert main(["registry", "list", "--verbose", "--registry", calibrated]) == 0
     verbose = squeezed(capsys.readouterr().out)
     assert all(verbose.count(squeezed(str(why))) == len(many) for why in unit.reasons)
@@ -256,8 +256,8 @@ def test_a_list_as_csv_has_every_reason(calibrated, tmp_path, capsys) -> None:
     with open_registry(calibrated) as registry:
         reasons = [str(why) for unit in registry.lots.units() for why in unit.reasons]
     assert main(["registry", "list", "--registry", calibrated, "--csv", "-"]) == 0
-    written = capsys.readouterr().out
-    assert len(reasons) > 2 and all(why in written.replace('""', '"') for why in reasons)
+    csv_text = capsys.readouterr().out
+    assert len(reasons) > 2 and all(why in csv_text.replace('""', '"') for why in reasons)
 
 
 def test_the_table_of_a_batch_has_a_line_a_unit_at_80_columns(monkeypatch, capsys) -> None:

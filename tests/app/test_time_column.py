@@ -56,12 +56,12 @@ def test_a_date_beside_a_time_of_day_is_joined_to_it(day: str, days: int, tmp_pa
 
 
 def test_rows_lost_over_midnight_leave_a_gap(tmp_path: Path) -> None:
-    kept = np.delete(np.arange(ROWS), range(90, 130))
-    stamps = np.array(_stamps("%H:%M:%S.%f"))[kept]
+    kept_rows = np.delete(np.arange(ROWS), range(90, 130))
+    stamps = np.array(_stamps("%H:%M:%S.%f"))[kept_rows]
     path = tmp_path / "a.csv"
-    rows = [f"{stamp},{OUTPUT[k]}" for stamp, k in zip(stamps, kept, strict=True)]
+    rows = [f"{stamp},{OUTPUT[k]}" for stamp, k in zip(stamps, kept_rows, strict=True)]
     path.write_text("\n".join(["time,output", *rows]) + "\n")
-    np.testing.assert_allclose(_times(path), TIME[kept], atol=1e-6)
+    np.testing.assert_allclose(_times(path), TIME[kept_rows], atol=1e-6)
 
 
 def test_a_date_whose_day_and_month_nobody_can_tell_is_asked_about(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_a_date_beside_seconds_from_the_start_is_not_added(tmp_path: Path) -> No
         ("clk", np.round(TIME + 0.001 * (np.arange(ROWS) % 3), 4)),
     ],
 )
-def test_a_time_under_another_heading_is_found_and_said(heading: str, cells: object, tmp_path: Path) -> None:
+def test_a_time_under_another_heading_is_found_and_reported(heading: str, cells: object, tmp_path: Path) -> None:
     path = _write(tmp_path / "a.csv", f"temperature,{heading}", np.round(20 + 0.1 * OUTPUT, 2), cells)
     np.testing.assert_allclose(_times(path), TIME, atol=0.0021)
     file = inspect_recording(path, "U", None, names=ColumnNames("output"))

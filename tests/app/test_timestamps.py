@@ -176,7 +176,7 @@ def test_dates_of_a_sheet_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "found"),
+    ("names", "time_column"),
     [
         (["output", "t_s", "time"], "t_s"),
         (["Time (s)", "output"], "Time (s)"),
@@ -189,8 +189,8 @@ def test_dates_of_a_sheet_are_read(tmp_path: Path) -> None:
         (["temperature", "timer", "output"], None),
     ],
 )
-def test_a_column_of_time_is_found_by_its_heading(names: list[str], found: str | None) -> None:
-    assert find_time_column(names) == found
+def test_a_column_of_time_is_found_by_its_heading(names: list[str], time_column: str | None) -> None:
+    assert find_time_column(names) == time_column
 
 
 def test_two_columns_of_time_are_asked_about() -> None:

@@ -26,17 +26,17 @@ def _follow(block: str) -> list[int]:
     """Run the lines of a block in this folder; return the exit codes of softcal's commands."""
     codes = []
     for line in block.replace("\\\n", " ").splitlines():
-        words = shlex.split(line)
-        if words[:2] == ["softcal", "demo"]:
+        arguments = shlex.split(line)
+        if arguments[:2] == ["softcal", "demo"]:
             # The lot alone: what else the demo does is tried in test_demo.py.
-            press_demo_lot(PRACTICE, Path(words[words.index("--out") + 1]) / "lot", lambda said: None)
-        elif words[0] == "softcal":
-            codes.append(main(words[1:]))
-        elif words[0] == "cp":
-            shutil.copy(words[1], words[2])
+            press_demo_lot(PRACTICE, Path(arguments[arguments.index("--out") + 1]) / "lot", lambda said: None)
+        elif arguments[0] == "softcal":
+            codes.append(main(arguments[1:]))
+        elif arguments[0] == "cp":
+            shutil.copy(arguments[1], arguments[2])
         else:
-            assert words[0] == "mkdir", line
-            Path(words[1]).mkdir()
+            assert arguments[0] == "mkdir", line
+            Path(arguments[1]).mkdir()
     return codes
 
 
@@ -54,16 +54,16 @@ def test_the_tutorial_leads_from_files_to_a_device(tmp_path, monkeypatch, capsys
     codes, printed = [], ""
     for language, block in _blocks():
         if language == "text":
-            shown = [" ".join(line.split()) for line in printed.splitlines()]
+            lines = [" ".join(line.split()) for line in printed.splitlines()]
             if "serial" not in _head(block):
                 assert {" ".join(x.split()) for x in _without_numbers(block) if "---" not in x} <= {
-                    " ".join(x.split()) for x in _without_numbers("\n".join(shown))
+                    " ".join(x.split()) for x in _without_numbers("\n".join(lines))
                 }
             else:
-                assert " ".join(_head(block)) in shown
+                assert " ".join(_head(block)) in lines
                 # A serial with its verdict, or with why it is measured; numbers differ with every training.
                 rows = [line.split()[:2] for line in block.splitlines()[2:] if re.match(r"A\d", line)]
-                assert rows and all(any(line.split()[:2] == row for line in shown) for row in rows), printed
+                assert rows and all(any(line.split()[:2] == row for line in lines) for row in rows), printed
             continue
         codes += _follow(block)
         printed = "".join(capsys.readouterr())

@@ -25,7 +25,7 @@ from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from tests.unit_states import audit_of, state_of
 
-pytestmark = pytest.mark.usefixtures("own_data")
+pytestmark = pytest.mark.usefixtures("separate_data_folder")
 SERIAL = "A1"
 SMALL, OTHER = UnitKey("small", SERIAL), UnitKey("other", SERIAL)
 LOTS = ("small", "other")
@@ -106,8 +106,8 @@ def test_the_files_and_the_revisions_of_the_page_are_those_of_its_lot(twins, sho
 def test_two_units_of_equal_serials_are_compared(twins, show):
     screen = show(twins, "unit", tab="compare", unit=str(SMALL), **{"with": str(OTHER)})
     (table,) = screen.table
-    shown = table.value.to_string()
-    assert PASS in shown and FAIL in shown
+    text = table.value.to_string()
+    assert PASS in text and FAIL in text
     assert [str(SMALL), str(OTHER)] == list(table.value.columns)[1:]
 
 
@@ -143,8 +143,8 @@ COMMANDS = {
 def test_a_command_names_the_option_that_says_which_lot(twins, trained_lot, tmp_path, capsys, name):
     (tmp_path / "loads.csv").write_text("output,reference\n0.5,0\n0.9,2\n")
     files = {"recording": trained_lot / "lot/units/A1.csv", "loads": tmp_path / "loads.csv", "out": tmp_path / "out"}
-    words = [word.format(**files) for word in COMMANDS[name]]
-    assert main([*words, "--serial", SERIAL, "--registry", twins]) == 2
+    arguments = [word.format(**files) for word in COMMANDS[name]]
+    assert main([*arguments, "--serial", SERIAL, "--registry", twins]) == 2
     error = capsys.readouterr().err
     assert "--lot" in error and "small" in error and "other" in error
 
@@ -158,8 +158,8 @@ def test_a_command_with_the_lot_answers_for_that_unit(twins, capsys, name, key, 
 
 
 def export(url: str, key: UnitKey, out, *more: str) -> int:
-    words = ["export", "--registry", url, "--serial", key.serial, "--lot", key.lot_id, "--out", str(out)]
-    return main([*words, "--format", "json", "--failed-too", *more])
+    arguments = ["export", "--registry", url, "--serial", key.serial, "--lot", key.lot_id, "--out", str(out)]
+    return main([*arguments, "--format", "json", "--failed-too", *more])
 
 
 def test_a_folder_with_a_unit_of_another_lot_is_left_as_it_is(twins, tmp_path, capsys):
@@ -187,7 +187,7 @@ def test_a_batch_takes_no_files_of_another_lot_back(twins, tmp_path):
 def test_the_topic_of_live_estimates_names_the_lot(twins, monkeypatch):
     from softcal.app.connect import mqtt
 
-    said: list[tuple[str, str, bool]] = []
+    messages: list[tuple[str, str, bool]] = []
 
     class Broker:
         def __init__(self, settings: object) -> None: ...
@@ -196,14 +196,14 @@ def test_the_topic_of_live_estimates_names_the_lot(twins, monkeypatch):
 
         def __exit__(self, *_: object) -> None: ...
         def publish(self, message: tuple[str, str, bool]) -> bool:
-            said.append(message)
+            messages.append(message)
             return True
 
     monkeypatch.setattr(mqtt, "_Live", Broker)
     for key in (SMALL, OTHER):
         mqtt.publish_estimates([mqtt.HEADER, "0.0,1.0,0.9,1.1,"], key, None, 1e9)
-    assert [topic for topic, *_ in said] == [f"lots/{lot}/units/{SERIAL}/estimate" for lot in ("small", "other")]
-    assert [json.loads(payload)["lot"] for _, payload, _ in said] == ["small", "other"]
+    assert [topic for topic, *_ in messages] == [f"lots/{lot}/units/{SERIAL}/estimate" for lot in ("small", "other")]
+    assert [json.loads(payload)["lot"] for _, payload, _ in messages] == ["small", "other"]
 
 
 @pytest.mark.parametrize("word", ["small/A1", "로트 1+/가-1", "a.b c/A_1.x"])
@@ -215,15 +215,17 @@ def test_a_key_reads_back_from_its_text(word):
 def test_a_golden_unit_is_checked_with_the_map_of_its_lot(twins):
     with open_registry(twins) as registry:
         (entry, *_) = registry.recordings.of_lot("small", kind="source")
-        pressed = registry.recordings.get(entry.sha256)
-        assert isinstance(pressed, LabelledRecording)
-        pressed = replace(pressed, unlabelled=replace(pressed.unlabelled, serial=SERIAL))
+        recording = registry.recordings.get(entry.sha256)
+        assert isinstance(recording, LabelledRecording)
+        recording = replace(recording, unlabelled=replace(recording.unlabelled, serial=SERIAL))
         with pytest.raises(AmbiguousUnit):
-            check_golden(registry, "line-1", pressed)
-        runs = {key: check_golden(registry, f"line-{key.lot_id}", pressed, lot_id=key.lot_id) for key in (SMALL, OTHER)}
+            check_golden(registry, "line-1", recording)
+        runs = {
+            key: check_golden(registry, f"line-{key.lot_id}", recording, lot_id=key.lot_id) for key in (SMALL, OTHER)
+        }
         for key, run in runs.items():
             unit = calibrated_unit(registry, SERIAL, lot_id=key.lot_id)[1:]
-            error = estimate(*unit, pressed.unlabelled).estimate - pressed.reference
+            error = estimate(*unit, recording.unlabelled).estimate - recording.reference
             assert run.value == pytest.approx(float(np.sqrt(np.nanmean(error**2))))
     assert runs[SMALL].value != pytest.approx(runs[OTHER].value)
 
@@ -237,9 +239,9 @@ def checked(lot_id: str, serial: str = SERIAL, passed: bool = True, **more) -> G
 
 def test_a_golden_unit_of_one_lot_takes_no_unit_of_another_out(twins):
     with open_registry(twins) as registry:
-        pressed = registry.recordings.get(registry.recordings.of_lot("small", kind="source")[0].sha256)
-        pressed = replace(pressed, unlabelled=replace(pressed.unlabelled, serial=SERIAL))
-        registry.recordings.add("other", pressed, "audit")
+        recording = registry.recordings.get(registry.recordings.of_lot("small", kind="source")[0].sha256)
+        recording = replace(recording, unlabelled=replace(recording.unlabelled, serial=SERIAL))
+        registry.recordings.add("other", recording, "audit")
         registry.stations.add_golden_run(checked("small"))
         assert set(newest_audits(registry, "other")) == {SERIAL} and SERIAL not in newest_audits(registry, "small")
         units = {lot: len({run.serial for run in registry.lots.runs(lot)}) for lot in LOTS}
@@ -255,8 +257,10 @@ def test_units_are_pressed_beside_the_golden_run_of_their_own_source(twins):
         registry.recordings.add("same", source, "source")
         registry.recordings.add("other", other, "source")
         registry.stations.add_golden_run(checked("small", "A0", recording_sha256="f" * 64))
-        beside = {lot: newest_golden(registry, "line-1", lot, NOW - timedelta(hours=1)) for lot in registry.lots.ids()}
-    assert beside == {"small": "f" * 64, "same": "f" * 64, "other": None}
+        golden_runs = {
+            lot: newest_golden(registry, "line-1", lot, NOW - timedelta(hours=1)) for lot in registry.lots.ids()
+        }
+    assert golden_runs == {"small": "f" * 64, "same": "f" * 64, "other": None}
 
 
 def test_a_golden_order_that_two_sources_fit_asks_for_the_lot(twins):

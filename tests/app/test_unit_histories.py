@@ -48,18 +48,18 @@ def test_an_audit_decided_on_by_another_limit_qualifies_nothing_before_its_unit_
     audited = [unit.serial for unit in read_lot_status(registry, LOT.id).on(Disposition.MEASURED)]
     registry.lots.set_limit(LOT.id, 0.4, reason="drawing D")
     roll_back(registry, audited[0], 1, reason="drawn", lot_id=LOT.id)
-    standing = read_lot_status(registry, LOT.id)
-    assert {unit.serial for unit in standing.units if unit.is_measured} == set(audited[:1])
-    assert {one.serial for one in standing.decided.qualification.lot_audits} <= set(audited[:1])
+    status = read_lot_status(registry, LOT.id)
+    assert {unit.serial for unit in status.units if unit.is_measured} == set(audited[:1])
+    assert {one.serial for one in status.decided.qualification.lot_audits} <= set(audited[:1])
 
 
 def test_a_statement_made_again_counts_the_units_that_it_releases(registry):
-    standing = read_lot_status(registry, LOT.id)
+    status = read_lot_status(registry, LOT.id)
     measured, sampled = (
-        [unit.serial for unit in standing.on(way)] for way in (Disposition.MEASURED, Disposition.SAMPLED)
+        [unit.serial for unit in status.on(way)] for way in (Disposition.MEASURED, Disposition.SAMPLED)
     )
     near, firm, new = *sampled, "U99"
-    forecasts_N = {near: 0.98 * 0.5 / standing.decided.decision.factor, firm: 0.02, new: 0.02}
+    forecasts_N = {near: 0.98 * 0.5 / status.decided.decision.factor, firm: 0.02, new: 0.02}
     for serial in (near, firm):
         store_result(registry, LOT.id, serial, calibrated(registry, serial, 1, forecasts_N[serial]), "batch")
     decide_lot(registry, LOT.id)
@@ -67,10 +67,10 @@ def test_a_statement_made_again_counts_the_units_that_it_releases(registry):
     # A batch is at work: its unit is calibrated, and nobody has decided on it.
     store_result(registry, LOT.id, new, calibrated(registry, new, 0, forecasts_N[new]), "batch")
     bring_audit(registry, measured[0], 1.04, 9)
-    in_force, standing = decision_in_force(registry, LOT.id), read_lot_status(registry, LOT.id)
-    assert [unit.serial for unit in standing.on(Disposition.SAMPLED)] == [firm] == list(in_force.released)
-    promised = in_force.statement.values["first"].values
-    assert (promised["released"], promised["open"]) == (1, 2)
+    in_force, status = decision_in_force(registry, LOT.id), read_lot_status(registry, LOT.id)
+    assert [unit.serial for unit in status.on(Disposition.SAMPLED)] == [firm] == list(in_force.released)
+    values = in_force.statement.values["first"].values
+    assert (values["released"], values["open"]) == (1, 2)
 
 
 def test_a_few_histories_hold_what_they_promise(two_registries):

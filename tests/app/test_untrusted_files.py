@@ -31,12 +31,12 @@ def test_broken_files_are_refused_or_read_as_they_stand(kind, files, tmp_path, m
     fuzz = Fuzz(kind, tmp_path, random.Random(f"7 {kind}"))
     for _ in range(files):
         fuzz.one()
-    assert sum(fuzz.found[what] for what in ("refused", "made")) == files, fuzz.examples
-    assert not fuzz.examples and fuzz.found["refused"] > files / 2
+    assert sum(fuzz.counts[what] for what in ("refused", "made")) == files, fuzz.examples
+    assert not fuzz.examples and fuzz.counts["refused"] > files / 2
 
 
 @pytest.mark.parametrize(
-    ("text", "named"),
+    ("text", "message"),
     [
         ("t_s,output\n0,1,2\n0.02,1,2\n", "header"),
         ("t_s,output,output\n0,1,2\n0.02,1,2\n", "'output'"),
@@ -44,10 +44,10 @@ def test_broken_files_are_refused_or_read_as_they_stand(kind, files, tmp_path, m
         ("t_s,output\n0,True\n0.02,False\n", "'True'"),
     ],
 )
-def test_columns_that_leave_doubt_are_refused(text, named, tmp_path):
+def test_ambiguous_columns_are_refused(text, message, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=named):
+    with pytest.raises(InputError, match=message):
         inspect_recording(path, "a", 50.0)
 
 
@@ -56,9 +56,9 @@ def test_a_control_character_in_a_header_is_shown_and_not_obeyed(tmp_path, capsy
     path.write_text("t_s,\x1b[2Jout\x0bput\n0,1\n")
     command = ["import", str(path), "--source", "A1", "--output-column", "V", "--sample-rate", "50"]
     assert main([*command, "--out", str(tmp_path / "lot")]) == 2
-    said = capsys.readouterr().err
-    assert "\\x1b[2Jout\\x0bput" in said
-    assert all(letter.isprintable() for letter in said.rstrip("\n"))
+    stderr = capsys.readouterr().err
+    assert "\\x1b[2Jout\\x0bput" in stderr
+    assert all(letter.isprintable() for letter in stderr.rstrip("\n"))
 
 
 def test_doubled_columns_of_a_spreadsheet_are_refused(tmp_path):
@@ -67,8 +67,8 @@ def test_doubled_columns_of_a_spreadsheet_are_refused(tmp_path):
         read_table(tmp_path / "a.xlsx")
 
 
-@pytest.mark.parametrize(("kind", "most_cells"), [("xlsx", 10_000_000), ("parquet", 2_000_000)])
-def test_a_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path, kind, most_cells):
+@pytest.mark.parametrize(("kind", "max_cells"), [("xlsx", 10_000_000), ("parquet", 2_000_000)])
+def test_a_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path, kind, max_cells):
     path = tmp_path / f"bomb.{kind}"
     if kind == "parquet":
         pyarrow.parquet.write_table(pa.table({name: np.zeros(2_000_000) for name in ("t_s", "output")}), path)
@@ -77,7 +77,7 @@ def test_a_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path, kind, most_cel
             archive.writestr("sheet1.xml", bytes(21_000_000))
     assert path.stat().st_size < 100_000
     with pytest.raises(InputError, match=BOMB):
-        read_table(path, TableOptions(max_cells=most_cells))
+        read_table(path, TableOptions(max_cells=max_cells))
 
 
 def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp_path):
@@ -86,9 +86,9 @@ def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp
     code = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
     command = ["import", str(broken), "--source", "S0", "--output-column", "output", "--reference-column", "reference"]
     command += ["--sample-rate", "50", "--out", str(tmp_path / "lot")]
-    done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "footer.parquet" in done.stderr
+    process = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stderr.count("\n")) == (2, 1), process.stderr
+    assert "footer.parquet" in process.stderr
 
 
 class _Bomb:

@@ -31,9 +31,9 @@ def table(path: Path, seed: int, rows: int = 60, **renamed: str) -> Path:
 
 def imported(folder: Path, *extra: str, files: list[Path] | None = None) -> dict[str, object]:
     answer = folder / "answer.json"
-    given = map(str, files or sorted((folder / "tables").iterdir()))
+    paths = map(str, files or sorted((folder / "tables").iterdir()))
     out = ["--out", str(folder / "lot"), "--json", str(answer)]
-    assert main(["import", *given, "--source", "S1", *OPTIONS, *out, *extra]) == 0
+    assert main(["import", *paths, "--source", "S1", *OPTIONS, *out, *extra]) == 0
     return json.loads(answer.read_text())
 
 
@@ -46,19 +46,21 @@ def tables(tmp_path: Path) -> Path:
     return folder
 
 
-def named(answer: dict[str, object]) -> set[tuple[str, str]]:
+def unused_items(answer: dict[str, object]) -> set[tuple[str, str]]:
     return {(item["kind"], item["name"]) for item in answer["not_used"]}
 
 
 @pytest.mark.parametrize("column", ["Force_N", "force N", "FORCE_n"])
-def test_a_reference_under_another_name_is_counted_and_both_names_are_said(tables, tmp_path, capsys, column) -> None:
+def test_a_reference_under_another_name_is_counted_and_both_names_are_reported(
+    tables, tmp_path, capsys, column
+) -> None:
     table(tables / "S2.csv", 1, force_N=column)
     answer = imported(tmp_path, "--audit")
-    assert answer["audits"] == ["S3"] and ("audit", "S2") in named(answer)
+    assert answer["audits"] == ["S3"] and ("audit", "S2") in unused_items(answer)
     (why,) = [item["why"] for item in answer["not_used"] if item["kind"] == "audit"]
     assert all(text in why for text in ("S2.csv", "'force_N'", repr(column)))
-    told = capsys.readouterr().err
-    assert "audits: 1 of 2" in told and why in told
+    stderr = capsys.readouterr().err
+    assert "audits: 1 of 2" in stderr and why in stderr
 
 
 def test_all_that_is_used_leaves_an_empty_list(tables, tmp_path) -> None:
@@ -66,7 +68,7 @@ def test_all_that_is_used_leaves_an_empty_list(tables, tmp_path) -> None:
     assert answer["not_used"] == [] and answer["remarks"] == [] and answer["audits"] == ["S2", "S3"]
 
 
-def test_a_lot_without_a_unit_is_said(tables, tmp_path, capsys) -> None:
+def test_a_lot_without_a_unit_is_reported(tables, tmp_path, capsys) -> None:
     remarks = imported(tmp_path, files=[tables / "S1.csv"])["remarks"]
     assert remarks == ["the lot has no unit beside its source"] and remarks[0] in capsys.readouterr().err
 
@@ -74,18 +76,18 @@ def test_a_lot_without_a_unit_is_said(tables, tmp_path, capsys) -> None:
 def test_columns_that_no_option_names_and_references_nobody_asked_for_are_listed(tables, tmp_path) -> None:
     frame = pd.read_csv(tables / "S3.csv").assign(temp_C=21.0)
     frame.to_csv(tables / "S3.csv", index=False)
-    assert named(imported(tmp_path)) == {("column", "temp_C"), ("column", "force_N")}
+    assert unused_items(imported(tmp_path)) == {("column", "temp_C"), ("column", "force_N")}
 
 
 @pytest.mark.parametrize(
-    ("rows", "audit_rows", "left"), [("0:40", None, 20), ("0:40", "44:60", 4), ("0:20", "15:35", 25)]
+    ("rows", "audit_rows", "unused"), [("0:40", None, 20), ("0:40", "44:60", 4), ("0:20", "15:35", 25)]
 )
-def test_rows_outside_what_was_asked_for_are_counted(tables, tmp_path, rows, audit_rows, left) -> None:
+def test_rows_outside_what_was_asked_for_are_counted(tables, tmp_path, rows, audit_rows, unused) -> None:
     parts = ["--rows", rows, *(["--audit", "--audit-rows", audit_rows] if audit_rows else [])]
     items = [item for item in imported(tmp_path, *parts)["not_used"] if item["kind"] == "rows"]
     of_targets = [item for item in items if item["name"] != "S1"]
     assert {item["name"] for item in of_targets} == {"S2", "S3"}
-    assert all(f"rows: {left}, in all: 60" in item["why"] for item in of_targets)
+    assert all(f"rows: {unused}, in all: 60" in item["why"] for item in of_targets)
 
 
 def test_files_of_a_folder_that_are_no_tables_are_named(tables, tmp_path) -> None:
@@ -93,7 +95,7 @@ def test_files_of_a_folder_that_are_no_tables_are_named(tables, tmp_path) -> Non
     (tables / "old").mkdir()
     shutil.copy(tables / "S2.csv", tables / "old")
     (tables / ".hidden.csv").write_text("nothing")
-    assert named(imported(tmp_path, "--audit", files=[tables])) == {("file", "notes.doc"), ("file", "old/")}
+    assert unused_items(imported(tmp_path, "--audit", files=[tables])) == {("file", "notes.doc"), ("file", "old/")}
 
 
 def test_files_of_a_lot_folder_that_no_batch_reads_are_named(tables, tmp_path) -> None:
@@ -119,12 +121,12 @@ def test_an_audit_that_is_not_taken_is_named_with_why(tables, tmp_path, capsys) 
     table(tables / "S2.csv", 1, force_N="Force_N")
     table(tables / "S7.csv", 7)
     capsys.readouterr()
-    brought = [str(tables / name) for name in ("S2.csv", "S3.csv", "S7.csv")]
-    assert main(["lot", "audit", str(tmp_path / "lot"), *brought, *OPTIONS, "--json", "-"]) == 2
-    told = capsys.readouterr()
-    answer = json.loads(told.out)
-    assert answer["audited"] == ["S3"] and named(answer) == {("audit", "S2"), ("audit", "S7")}
-    assert "not used: audit S7" in told.err
+    audit_paths = [str(tables / name) for name in ("S2.csv", "S3.csv", "S7.csv")]
+    assert main(["lot", "audit", str(tmp_path / "lot"), *audit_paths, *OPTIONS, "--json", "-"]) == 2
+    printed = capsys.readouterr()
+    answer = json.loads(printed.out)
+    assert answer["audited"] == ["S3"] and unused_items(answer) == {("audit", "S2"), ("audit", "S7")}
+    assert "not used: audit S7" in printed.err
 
 
 def test_a_batch_lists_what_it_did_not_use_and_what_stands_twice_across_lots(
@@ -140,18 +142,20 @@ def test_a_batch_lists_what_it_did_not_use_and_what_stands_twice_across_lots(
     frame = pd.read_csv(lot / "units/A2.csv").assign(reference=1.0)
     frame.to_csv(lot / "units/A2.csv", index=False)
     code = main(["batch", str(lot), "--registry", calibrated, *SMALL_NETWORK, "--no-own", "--json", "-"])
-    told = capsys.readouterr()
-    answer = json.loads(told.out)
-    assert code == 1 and {("audit", "B7"), ("column", "reference")} <= named(answer)
+    printed = capsys.readouterr()
+    answer = json.loads(printed.out)
+    assert code == 1 and {("audit", "B7"), ("column", "reference")} <= unused_items(answer)
     (remark,) = [one for one in answer["remarks"] if "B1" in one]
-    assert all(name in remark for name in ("A1 (small)", "B1 (second)")) and remark in told.err
+    assert all(name in remark for name in ("A1 (small)", "B1 (second)")) and remark in printed.err
     assert not [one for one in answer["remarks"] if "A2" in one], "one serial may stand in two lots"
     for extra in ([], ["--lot", "second"], ["--lot", "small"]):
         assert main(["registry", "list", "--registry", calibrated, "--json", "-", *extra]) == 0
         assert remark in json.loads(capsys.readouterr().out)["remarks"]
 
 
-def test_the_page_of_a_new_lot_knows_what_is_not_used_and_what_the_registry_has(tables, tmp_path, own_data) -> None:
+def test_the_page_of_a_new_lot_knows_what_is_not_used_and_what_the_registry_has(
+    tables, tmp_path, separate_data_folder
+) -> None:
     url = f"sqlite:///{tmp_path / 'registry.db'}"
     columns = Columns("volts", "force_N")
     files = sorted(tables.iterdir())
@@ -170,18 +174,18 @@ def test_the_page_of_a_new_lot_knows_what_is_not_used_and_what_the_registry_has(
     assert all(name in str(remark) for name in ("S3 (first)", "T3 (again)"))
 
 
-def test_why_something_is_not_used_is_said_in_korean_too() -> None:
+def test_why_something_is_not_used_is_rendered_in_korean_too() -> None:
     codes = [key for key in catalogue()["en"] if key.startswith(("reason.unused.", "reason.lot."))]
     assert len(codes) > 10 and all(catalogue()["ko"][code] != catalogue()["en"][code] for code in codes)
 
 
-def pressed(text: str) -> RecordedOutput:
+def parse_press(text: str) -> RecordedOutput:
     serial, lot, output, kind = text.split()
     return RecordedOutput(serial, lot, output, kind)
 
 
 @pytest.mark.parametrize(
-    ("recordings", "named"),
+    ("recordings", "message"),
     [
         (("A1 L1 x unit", "A2 L1 x unit"), [{"A1 (L1)", "A2 (L1)"}]),
         (("A1 L1 x unit", "B1 L2 x unit"), [{"A1 (L1)", "B1 (L2)"}]),
@@ -195,10 +199,10 @@ def pressed(text: str) -> RecordedOutput:
         (("A1 L1 x unit", "A2 L1 y unit"), []),
     ],
 )
-def test_one_recording_is_one_press_of_one_serial(recordings, named) -> None:
-    remarks = same_recordings(map(pressed, recordings))
-    assert len(remarks) == len(named)
-    assert all(name in str(remark) for remark, names in zip(remarks, named, strict=True) for name in names)
+def test_one_recording_is_one_press_of_one_serial(recordings, message) -> None:
+    remarks = same_recordings(map(parse_press, recordings))
+    assert len(remarks) == len(message)
+    assert all(name in str(remark) for remark, names in zip(remarks, message, strict=True) for name in names)
 
 
 def test_outputs_are_compared_by_an_index(query_plan) -> None:
@@ -216,7 +220,7 @@ def query_plan(tmp_path) -> str:
         )
         registry.recordings.shared_outputs("L1")
         registry.recordings.same_outputs({"a" * 64})
-        asked = [one for one in statements if "output_sha256" in one[0]]
+        queries = [one for one in statements if "output_sha256" in one[0]]
         with registry.database.outside_transactions() as connection:
-            plans = [connection.execute(f"EXPLAIN QUERY PLAN {text}", values).fetchall() for text, values in asked]
+            plans = [connection.execute(f"EXPLAIN QUERY PLAN {text}", values).fetchall() for text, values in queries]
     return "\n".join(str(row) for plan in plans for row in plan)

@@ -55,7 +55,7 @@ DRAWS = 200
 DCC = {"dcc": "https://ptb.de/dcc"}
 LIMIT = Limit("N", 0.3)
 CELL = Reference("LC-7", "D-K-1", due_on=date(2099, 1, 1), used_on=date(2026, 2, 1), uncertainty=0.01)
-FOUND = reason("too_little_data", windows=3, presses=1, enough_windows=500, enough_presses=3)
+TOO_LITTLE_DATA = reason("too_little_data", windows=3, presses=1, enough_windows=500, enough_presses=3)
 
 
 @pytest.fixture(scope="module")
@@ -72,11 +72,11 @@ def lot(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         yield registry, registry.lots.all()[0].id
 
 
-def drawn(rng: np.random.Generator, state: UnitState, number: int) -> UnitState:
+def draw_state(rng: np.random.Generator, state: UnitState, number: int) -> UnitState:
     """Return the state with another forecast, finding and audit."""
     rmse = float(rng.uniform(0.02, 0.8))
     forecast = ErrorForecast(rmse, rmse * float(rng.uniform(0.3, 1)), rmse * float(rng.uniform(1, 3)))
-    findings = tuple(Finding(FOUND, Verdict(word)) for word in rng.choice(list(Verdict), rng.integers(0, 3)))
+    findings = tuple(Finding(TOO_LITTLE_DATA, Verdict(word)) for word in rng.choice(list(Verdict), rng.integers(0, 3)))
     audit = None
     if rng.random() < 0.5:
         before, after = (float(error) for error in rng.uniform(0.02, 0.8, 2))
@@ -89,29 +89,29 @@ def drawn(rng: np.random.Generator, state: UnitState, number: int) -> UnitState:
         state.fit, id=f"{number:064x}", forecast=forecast, findings=findings, rule_findings=(), reference=CELL
     )
     fit = replace(fit, blocking_reasons=())
-    found = replace(state, fit=fit, limit=LIMIT, trim=None, correction=None, release=None, audit=None)
-    return found if audit is None else replace(found, audit=replace(audit, map_id=found.map_id))
+    unaudited = replace(state, fit=fit, limit=LIMIT, trim=None, correction=None, release=None, audit=None)
+    return unaudited if audit is None else replace(unaudited, audit=replace(audit, map_id=unaudited.map_id))
 
 
 def documents(registry: Registry) -> tuple[str, str, str]:
     """Return the words of certificate, its conformity and device file of the unit in use."""
     unit = UnitLoader(registry, ExportOptions(failed_too=True)).load("A1")
-    facts = build_certificate(unit)
-    conformity = ET.fromstring(certificate_xml(facts)).findtext(".//dcc:statement/dcc:conformity", None, DCC)
-    assert facts.error is not None and facts.limit is not None
-    assert conformity != "pass" or facts.error.upper <= facts.limit.acceptance_rmse
-    assert (facts.error.rmse > facts.limit.maximum_rmse) <= (conformity in ("fail", None))
+    certificate = build_certificate(unit)
+    conformity = ET.fromstring(certificate_xml(certificate)).findtext(".//dcc:statement/dcc:conformity", None, DCC)
+    assert certificate.error is not None and certificate.limit is not None
+    assert conformity != "pass" or certificate.error.upper <= certificate.limit.acceptance_rmse
+    assert (certificate.error.rmse > certificate.limit.maximum_rmse) <= (conformity in ("fail", None))
     return (
-        facts.verdict,
+        certificate.verdict,
         {"pass": "pass", "conditionalPass": "conditional", "fail": "fail", None: "retest"}[conformity],
         {0: "pass", CONDITIONAL: "conditional", FAILED: "not released"}[unit.device_unit.file.flags],
     )
 
 
-def pressed(registry: Registry, lot_id: str) -> None:
+def store_press(registry: Registry, lot_id: str) -> None:
     """Leave what a station leaves once it has pressed A1 and found it good."""
     order = Order("press", "line-1", OrderKind.UNIT, "A1", lot_id, "kim")
-    registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+    registry.order_queue.write_heartbeat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
     registry.order_queue.place(order)
     registry.order_queue.take("line-1")
     registry.order_queue.report(Progress("press", RunState.DONE, "done", 1.0, verdict="pass"))
@@ -119,7 +119,7 @@ def pressed(registry: Registry, lot_id: str) -> None:
 
 def line_card(registry: Registry) -> LineView:
     """Return what the operator's screen shows now."""
-    registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+    registry.order_queue.write_heartbeat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
     return line_view(read_line(registry, Screen("line-1")), "", partial(text, "en"))
 
 
@@ -127,15 +127,15 @@ def line_card(registry: Registry) -> LineView:
 def test_every_surface_says_the_same_word(lot, rng):
     registry, lot_id = lot
     first = registry.calibrations.get("A1").state
-    words = set()
-    pressed(registry, lot_id)
+    verdicts = set()
+    store_press(registry, lot_id)
     for number in range(DRAWS):
-        state = drawn(rng, first, number)
+        state = draw_state(rng, first, number)
         registry.calibrations.add(lot_id, state)
         measured, predicted = state.decision.measured, state.decision.predicted.verdict
         # A forecast alone promises nothing: without an audit the best word is conditional.
         word = measured.verdict if measured else worst_of([predicted, Verdict.CONDITIONAL])
-        words.add(word)
+        verdicts.add(word)
         stored = registry.calibrations.get("A1")
         result = UnitResult(
             "A1",
@@ -162,7 +162,7 @@ def test_every_surface_says_the_same_word(lot, rng):
             u.verdict == "pass" for u in registry.lots.units(lot_id) if u.serial != "A1" and u.role == "target"
         )
         assert last - others == (word is Verdict.PASS)
-    assert words == set(Verdict)
+    assert verdicts == set(Verdict)
 
 
 @pytest.mark.parametrize("word", list(Verdict))
@@ -170,19 +170,19 @@ def test_documents_and_files_say_the_same_word(lot, word, tmp_path):
     registry, lot_id = lot
     rng = np.random.default_rng(7)
     first = registry.calibrations.get("A1", 1).state
-    state = next(one for one in (drawn(rng, first, 1000 + k) for k in range(500)) if one.verdict == word)
+    state = next(one for one in (draw_state(rng, first, 1000 + k) for k in range(500)) if one.verdict == word)
     registry.calibrations.add(lot_id, state)
     assert documents(registry) == (word, word, word if word in ("pass", "conditional") else "not released")
     unit = UnitLoader(registry, ExportOptions()).load("A1")
     read = read_text(certificate_pdf(build_certificate(unit))).split()
-    shown = {other for other in Verdict if other.upper() in read}
-    assert shown == {word} - {Verdict.RETEST}, "nothing can be stated of a unit that has to be tested again"
+    verdicts_shown = {other for other in Verdict if other.upper() in read}
+    assert verdicts_shown == {word} - {Verdict.RETEST}, "nothing can be stated of a unit that has to be tested again"
     title = explanation_figure(
         unit_view(registry, UnitKey("small", "A1")), palette("light"), partial(text, "en")
     ).layout.title.text
     assert text("en", f"verdict.{word}") in title
-    (done,) = export_units(registry, ["A1"], ("blob",), tmp_path / "out")
-    assert bool(done.files) == (word is Verdict.PASS)
+    (exported,) = export_units(registry, ["A1"], ("blob",), tmp_path / "out")
+    assert bool(exported.files) == (word is Verdict.PASS)
     assert read_manifest(tmp_path / "out").units["A1"]["verdict"] == word
     assert "A1" in lot_serials(registry, lot_id, ExportOptions(failed_too=True))
     try:
@@ -205,5 +205,5 @@ def test_a_worse_verdict_takes_the_files_back(trained_lot, tmp_path, capsys):
     assert "were taken back" not in capsys.readouterr().err, "they were gone already"
     assert not [path for path in out.iterdir() if path.name.startswith("unit-")]
     units = read_manifest(out).units.values()
-    assert units and all(facts["verdict"] == "fail" and facts["withdrawn"] for facts in units)
+    assert units and all(unit_row["verdict"] == "fail" and unit_row["withdrawn"] for unit_row in units)
     assert {file.serial for file in read_manifest(out).files.values()} == {None}

@@ -79,15 +79,15 @@ def statement(source: str, relation: str, rmse: float) -> Reason:
 @pytest.mark.parametrize("language", ["en", "ko"])
 def test_reasons_are_counted_by_what_they_say_and_not_by_their_numbers(language: str) -> None:
     """A forecast and a measurement are two kinds; the same one with another number is one; no label has a number."""
-    said = {
+    reasons = {
         "U1": statement("predicted", "above", 0.417),
         "U2": statement("predicted", "above", 0.523),
         "U3": statement("measured", "above", 0.417),
         "U4": reason("saturated", level="1.6 V", share=0.165),
     }
-    found = yields({serial: [UnitRun("fail", (why,))] for serial, why in said.items()})
-    assert [count for _, count in found.reasons] == [2, 1, 1]
-    labels = [render_plain_reason(why, partial(text, language)) for why, _ in found.reasons]
+    lot_yields = yields({serial: [UnitRun("fail", (why,))] for serial, why in reasons.items()})
+    assert [count for _, count in lot_yields.reasons] == [2, 1, 1]
+    labels = [render_plain_reason(why, partial(text, language)) for why, _ in lot_yields.reasons]
     assert len(set(labels)) == 3 and not any(letter.isdigit() for label in labels for letter in label)
 
 
@@ -109,8 +109,8 @@ def test_one_value_far_out_does_not_flatten_the_others_and_is_read_as_it_is(rng)
     values = 0.08 + 0.002 * rng.normal(size=40)
     values[20] = 8.0
     figure = control_chart(values, LIGHT)
-    drawn, usual = np.array(figure.data[0].y), np.delete(values, 20)
-    assert np.ptp(np.log(usual)) > 0.2 * np.ptp(np.log(drawn))
+    plotted, usual = np.array(figure.data[0].y), np.delete(values, 20)
+    assert np.ptp(np.log(usual)) > 0.2 * np.ptp(np.log(plotted))
     assert figure.data[0].customdata[20] == "8.000 N"
     assert any("8.000 " in note.text for note in figure.layout.annotations)
 

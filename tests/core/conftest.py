@@ -65,11 +65,11 @@ def opened_case() -> Callable[[SealedCase], Case]:
         rig = sealed.rig
         readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
         runs = []
-        for number, found in enumerate(sealed.write_runs(sealed.plans), start=1):
-            measured = found.measured
+        for number, run in enumerate(sealed.write_runs(sealed.plans), start=1):
+            measured = run.measured
             columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
-            stated = replace(readout, sample_rate_Hz=found.sample_rate_Hz)
-            runs.append(Run(f"runs/{number}", readout=stated, profile=measured.profile, **columns))
+            run_readout = replace(readout, sample_rate_Hz=run.sample_rate_Hz)
+            runs.append(Run(f"runs/{number}", readout=run_readout, profile=measured.profile, **columns))
         return Case(sealed.name, tuple(runs))
 
     return opened

@@ -101,6 +101,6 @@ def one_sided(effect: Effect) -> Effect:
 def search_with(fits: Mapping[tuple[str, ...], Fit]) -> Search:
     """Return a search that holds these fits, the base among them."""
     search = Search(fits[()], CAUSES)
-    for found in fits.values():
-        search.store(found)
+    for fit_of_set in fits.values():
+        search.store(fit_of_set)
     return search

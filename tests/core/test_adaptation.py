@@ -177,10 +177,10 @@ def test_a_use_that_turns_without_a_rest_has_its_zero_load_where_f_sees_it_in_mo
     output_V = REST_V + 0.0328 + 0.1 * (1 - np.cos(phase)) + noise_V
     load_N = 0.1328 / GAIN_V_N * (1 - np.cos(phase - np.deg2rad(9.73)))
 
-    made = maker(load_N, output_V, network)
+    adapter = maker(load_N, output_V, network)
     recording = OutputRecording("A1", np.arange(len(output_V)) / RATE_HZ, output_V, RATE_HZ)
 
-    operation, _ = learn_sensitivity(made.network, made.calibration, recording, DriftTracking())  # type: ignore[attr-defined]
+    operation, _ = learn_sensitivity(adapter.network, adapter.calibration, recording, DriftTracking())  # type: ignore[attr-defined]
 
     assert operation.zero is not None and operation.curve is not None
     assert operation.mean + operation.scale * operation.zero == pytest.approx(REST_V + 0.0342, abs=0.004)
@@ -253,12 +253,12 @@ def test_a_person_who_goes_on_with_what_a_machine_was_calibrated_with_is_not_fol
     force_N = person_N(150.0, seed)
     t_s, output_V = np.arange(len(force_N)) / RATE_HZ, read_V(force_N, seed + 50)
 
-    left, followed = (make_adapter(mode).advance(t_s, output_V).estimate for mode in ("none", "improved"))
+    unfollowed, followed = (make_adapter(mode).advance(t_s, output_V).estimate for mode in ("none", "improved"))
 
-    assert rmse(followed, force_N) <= 1.05 * rmse(left, force_N)
+    assert rmse(followed, force_N) <= 1.05 * rmse(unfollowed, force_N)
 
 
-def test_presses_that_change_in_size_about_a_standing_rest_are_held_and_no_alarm() -> None:
+def test_presses_that_change_in_size_about_a_constant_rest_are_on_hold_without_alarm() -> None:
     force_N = person_N(600.0, 10)
     t_s = np.arange(len(force_N)) / RATE_HZ
     adapter = maker(person_N(90.0, 9))()
@@ -372,10 +372,10 @@ def test_dropped_samples_and_long_gaps_leave_estimates_out_until_a_window_is_ful
     make_adapter: Callable[..., Adapter],
 ) -> None:
     t_s, output_V, _ = stream(60.0)
-    kept = np.ones(len(t_s), dtype=bool)
-    kept[500] = kept[1000:1700] = False
+    is_kept_row = np.ones(len(t_s), dtype=bool)
+    is_kept_row[500] = is_kept_row[1000:1700] = False
 
-    rows = make_adapter().advance(t_s[kept], output_V[kept])
+    rows = make_adapter().advance(t_s[is_kept_row], output_V[is_kept_row])
 
     assert set(why(rows.flag[: TAPS - 1])) == {WARM_UP}
     assert set(why(rows.flag[500 : 500 + TAPS - 1])) == {GAP}
@@ -455,20 +455,20 @@ def test_rows_are_unsettled_where_the_predicted_error_has_doubled_and_no_alarm_s
 ) -> None:
     """An alarm over a drift that is followed well is a false one; rows without a word would hide what is not known."""
     t_s, output_V, force_N = stream(600.0)
-    adapter, seen = make_adapter(), []
+    adapter, observed = make_adapter(), []
     shifted_V = drifted(output_V, 1.0, 0.15)
-    promised = adapter.current.predicted_rmse
+    predicted_rmse = adapter.current.predicted_rmse
 
     for k in range(0, len(t_s), DriftTracking().stream.batch):
-        is_doubled = adapter.current.predicted_rmse > 2 * promised
+        is_doubled = adapter.current.predicted_rmse > 2 * predicted_rmse
         piece = slice(k, k + DriftTracking().stream.batch)
-        seen.append((is_doubled, adapter.advance(t_s[piece], shifted_V[piece])))
+        observed.append((is_doubled, adapter.advance(t_s[piece], shifted_V[piece])))
 
     assert not any(update.alarm for update in adapter.take_updates())
-    words = [({*why(rows.flag)} & {"", UNSETTLED, RECALIBRATE}, is_doubled) for is_doubled, rows in seen[2:]]
-    assert {is_doubled for _, is_doubled in words} == {False, True}
-    assert all(said <= ({UNSETTLED} if is_doubled else {"", UNSETTLED}) for said, is_doubled in words)
-    followed = np.concatenate([rows.estimate for _, rows in seen])
+    flags = [({*why(rows.flag)} & {"", UNSETTLED, RECALIBRATE}, is_doubled) for is_doubled, rows in observed[2:]]
+    assert {is_doubled for _, is_doubled in flags} == {False, True}
+    assert all(flags_of_row <= ({UNSETTLED} if is_doubled else {"", UNSETTLED}) for flags_of_row, is_doubled in flags)
+    followed = np.concatenate([rows.estimate for _, rows in observed])
     assert rmse(followed, force_N) < 0.25 * rmse(shifted_V, output_V) / GAIN_V_N
 
 

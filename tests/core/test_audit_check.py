@@ -72,9 +72,11 @@ def test_a_lot_that_misreads_as_a_whole_does_not_contradict_itself(readings):
 
 def test_the_audit_of_a_unit_that_is_not_of_the_lot_is_named(readings):
     readings["U5"] = replace(readings["U5"], audit_rest=readings["U5"].unit_rest + 0.4)
-    found = find_suspect_audits(readings, Method())
-    assert {serial: why.code for serial, why in found.items()} == {"U5": "doubt.foreign_unit"}
-    assert found["U5"].values["rest"] == pytest.approx(1.2) and found["U5"].values["unit_rest"] == pytest.approx(0.8)
+    suspects = find_suspect_audits(readings, Method())
+    assert {serial: why.code for serial, why in suspects.items()} == {"U5": "doubt.foreign_unit"}
+    assert suspects["U5"].values["rest"] == pytest.approx(1.2) and suspects["U5"].values["unit_rest"] == pytest.approx(
+        0.8
+    )
 
 
 def test_audits_that_all_rest_elsewhere_name_nobody(readings, rng):

@@ -44,7 +44,7 @@ def test_the_hypergeometric_bound_is_the_last_number_not_contradicted():
     assert hypergeom.cdf(1, 100, upper, 20) > 0.05 >= hypergeom.cdf(1, 100, upper + 1, 20)
 
 
-def test_a_full_check_leaves_no_doubt():
+def test_a_full_check_ends_every_suspicion():
     assert (nonconforming_upper(12, 12, 2), nonconforming_upper(0, 0, 0)) == (2, 0)
 
 

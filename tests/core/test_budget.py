@@ -59,9 +59,9 @@ def by_monte_carlo(reference: Reference, load: float, rmse: float, rng: np.rando
     assert reference.uncertainty is not None and reference.temperature_per_K is not None
     drift = reference.uncertainty if reference.drift is None else reference.drift
     calibration = rng.normal(0, reference.uncertainty / reference.coverage_factor, DRAWS)
-    kept = load + calibration + rng.uniform(-drift, drift, DRAWS)
+    errors = load + calibration + rng.uniform(-drift, drift, DRAWS)
     kelvin = rng.uniform(-1, 1, DRAWS) * (reference.temperature_K or 0.0)
-    reading = kept * (1 + reference.temperature_per_K * kelvin)
+    reading = errors * (1 + reference.temperature_per_K * kelvin)
     reading += rng.normal(0, reference.contact or 0.0, DRAWS) + rng.normal(0, reference.repeatability or 0.0, DRAWS)
     return np.asarray(reading + rng.normal(0, rmse, DRAWS) - load)
 
@@ -118,7 +118,7 @@ def test_f_map_and_quantisation_share_the_forecast_among_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "standing"),
+    ("changes", "traceability"),
     [
         ({}, Traceability.VALID),
         ({"used_on": date(2028, 1, 1)}, Traceability.EXPIRED),
@@ -132,12 +132,12 @@ def test_f_map_and_quantisation_share_the_forecast_among_them() -> None:
     ],
 )
 def test_a_named_cell_without_a_certificate_that_held_bars_and_what_nobody_stated_does_not(
-    changes: dict[str, object], standing: Traceability
+    changes: dict[str, object], traceability: Traceability
 ) -> None:
     reference = replace(CELL, **changes)  # type: ignore[arg-type]
-    assert reference.traceability is standing
+    assert reference.traceability is traceability
     is_named = bool(reference.cell) and not reference.certificate
-    assert bool(reference.blocking_reasons(5.0)) == (standing is Traceability.EXPIRED or is_named)
+    assert bool(reference.blocking_reasons(5.0)) == (traceability is Traceability.EXPIRED or is_named)
     assert [why.code for why in CELL.blocking_reasons(10.1)] == ["reference_range"]
 
 
@@ -162,8 +162,8 @@ def test_a_unit_beyond_the_limit_is_let_through_in_fewer_than_one_case_in_twenty
         limit = Limit("N", 0.4, reference_expanded=expanded)
         guard = 0.02
         measured = limit.acceptance_rmse - guard
-        seen = np.maximum(measured + rng.normal(0, guard / 2, DRAWS), 0)
-        true = np.hypot(seen, rng.normal(0, expanded / 2, DRAWS))
+        observed = np.maximum(measured + rng.normal(0, guard / 2, DRAWS), 0)
+        true = np.hypot(observed, rng.normal(0, expanded / 2, DRAWS))
         assert compare_with_limit(ErrorForecast(measured, 0.0, measured + guard * 0.999), limit).verdict is Verdict.PASS
         assert np.mean(true > limit.maximum_rmse) < 0.05
 
@@ -175,18 +175,18 @@ def test_five_newton_on_a_scale_of_seven_and_a_half_cannot_pass() -> None:
     assert [why.code for why in best.reasons] == ["reference_uncertain", "statement"]
 
 
-def test_what_bars_a_pass_bars_it_however_the_unit_was_judged() -> None:
-    good, bars = Assessment(Verdict.PASS, (plain("good"),)), (plain("expired"),)
+def test_a_blocking_reason_blocks_a_pass_however_the_unit_was_decided() -> None:
+    good, blocking_reasons = Assessment(Verdict.PASS, (plain("good"),)), (plain("expired"),)
     for decision in (
-        Decision(good, blocking_reasons=bars),
-        Decision(good, good, blocking_reasons=bars),
-        Decision(good, None, good, bars),
+        Decision(good, blocking_reasons=blocking_reasons),
+        Decision(good, good, blocking_reasons=blocking_reasons),
+        Decision(good, None, good, blocking_reasons),
     ):
         assert decision.verdict is Verdict.CONDITIONAL
-        assert decision.reasons[0] == bars[0]
+        assert decision.reasons[0] == blocking_reasons[0]
     bad = Assessment(Verdict.FAIL, (plain("bad"),))
-    assert Decision(good, bad, blocking_reasons=bars).verdict is Verdict.FAIL
-    assert Decision(good, bad, blocking_reasons=bars).reasons[0] == plain("bad")
+    assert Decision(good, bad, blocking_reasons=blocking_reasons).verdict is Verdict.FAIL
+    assert Decision(good, bad, blocking_reasons=blocking_reasons).reasons[0] == plain("bad")
 
 
 def test_the_reference_reaches_interval_verdict_and_identity(
@@ -195,7 +195,7 @@ def test_the_reference_reaches_interval_verdict_and_identity(
     source_model = replace(source_model, method=Method(map=MapConfig(family="affine")))
     unit, audit = press(2, gain=1.3, offset_V=0.05, seconds=120.0).unlabelled, press(3, gain=1.3, offset_V=0.05)
     plain_problem = UnitProblem(source_model, unit, Limit("N", 2.0), audit=audit)
-    made = {
+    calibrations = {
         name: calibrate(replace(plain_problem, reference=reference))
         for name, reference in {
             "nobody": None,
@@ -205,16 +205,16 @@ def test_the_reference_reaches_interval_verdict_and_identity(
             "expired": replace(CELL, used_on=date(2029, 1, 1)),
         }.items()
     }
-    words = {name: found.decision.verdict for name, found in made.items()}
-    assert words["nobody"] == words["simulated"] == words["valid"] == Verdict.PASS
-    assert words["poor"] == words["expired"] == Verdict.CONDITIONAL
-    assert np.array_equal(made["nobody"].interval.half_width, made["simulated"].interval.half_width)
-    width, loads = made["nobody"].interval.half_width, np.linspace(0, 1, 64)
-    wider = made["valid"].interval.half_width
-    low, high = made["valid"].interval.low, made["valid"].interval.high
+    verdicts = {name: calibration.decision.verdict for name, calibration in calibrations.items()}
+    assert verdicts["nobody"] == verdicts["simulated"] == verdicts["valid"] == Verdict.PASS
+    assert verdicts["poor"] == verdicts["expired"] == Verdict.CONDITIONAL
+    assert np.array_equal(calibrations["nobody"].interval.half_width, calibrations["simulated"].interval.half_width)
+    width, loads = calibrations["nobody"].interval.half_width, np.linspace(0, 1, 64)
+    wider = calibrations["valid"].interval.half_width
+    low, high = calibrations["valid"].interval.low, calibrations["valid"].interval.high
     levels = low + (loads * 63 + 0.5) / 64 * (high - low)
     added = 1.645 * np.sqrt([CELL.expanded(level) ** 2 / 4 for level in levels])
     assert wider == pytest.approx(np.hypot(width, added), rel=1e-6)
     assert len({replace(plain_problem, reference=r).input_sha256 for r in (None, CELL)}) == 2
-    stored = fit_to_json(made["valid"].fit)
-    assert fit_from_json(json.loads(json.dumps(stored.content)), made["valid"].fit.method).reference == CELL
+    stored = fit_to_json(calibrations["valid"].fit)
+    assert fit_from_json(json.loads(json.dumps(stored.content)), calibrations["valid"].fit.method).reference == CELL

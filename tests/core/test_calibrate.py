@@ -82,13 +82,13 @@ def test_a_state_is_read_back_as_it_was_written(calibrate, linear_network, good)
 
 
 def test_without_a_limit_nothing_passes_and_the_error_stands_beside_the_range(calibrate, good, source_model):
-    (stated,) = [one for one in calibrate(good, Limit("N", 0.5)).decision.reasons if one.code == "statement"]
-    assert stated.values["origin"].code == "part.stated"
-    made = calibrate(good, None)
-    assert made.decision.verdict == "conditional"
-    (said,) = [one for one in made.decision.reasons if one.code == "no_limit"]
+    (statement,) = [one for one in calibrate(good, Limit("N", 0.5)).decision.reasons if one.code == "statement"]
+    assert statement.values["origin"].code == "part.stated"
+    calibration = calibrate(good, None)
+    assert calibration.decision.verdict == "conditional"
+    (reason,) = [one for one in calibration.decision.reasons if one.code == "no_limit"]
     loads = source_model.source.reference
-    assert said.values["share"] == pytest.approx(made.predicted_rmse / np.ptp(loads), rel=0.05)
+    assert reason.values["share"] == pytest.approx(calibration.predicted_rmse / np.ptp(loads), rel=0.05)
 
 
 def test_a_generous_limit_is_held_by_the_forecast_alone_and_a_strict_one_fails(calibrate, good):
@@ -115,7 +115,7 @@ def test_a_clipped_unit_never_passes(calibrate, good):
     assert "saturated" in findings(calibration) and calibration.decision.verdict in ("fail", "retest")
 
 
-def test_drift_inside_the_recording_is_told_from_creep(calibrate, good):
+def test_drift_inside_the_recording_is_distinguished_from_creep(calibrate, good):
     drifting = replace(good, output=good.output + np.linspace(0, 0.12, len(good)))
     assert "drift" in findings(calibrate(drifting))
 
@@ -163,10 +163,10 @@ def test_known_positions_reveal_a_gain_error_the_output_hides(source_model, line
     lighter = replace(unit.unlabelled, output=0.5 + (unit.unlabelled.output - 0.5) * 2 / 3)
     depth_mm = unit.reference * 2 / 3
     blind = calibrate_problem(UnitProblem(replace(source_model, method=AFFINE), lighter))
-    known = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
-    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4), method=AFFINE)
-    seen = calibrate_problem(UnitProblem(model, replace(lighter, stage_mm=depth_mm)))
-    assert seen.predicted_rmse > 4 * blind.predicted_rmse
+    staged_source = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
+    model = make_source_model(staged_source, linear_network, np.arange(0, len(staged_source.windows), 4), method=AFFINE)
+    staged = calibrate_problem(UnitProblem(model, replace(lighter, stage_mm=depth_mm)))
+    assert staged.predicted_rmse > 4 * blind.predicted_rmse
 
 
 def test_the_parts_of_a_forecast_add_up_to_it(calibrate, good):
@@ -212,17 +212,19 @@ def test_a_dull_unit_shows_in_its_corners(calibrate, press):
 
 def creeping(output: np.ndarray, share: float = 0.25, seconds: float = 6.0) -> np.ndarray:
     """Return the output with a slow part that follows the fast one late."""
-    slow, keep = np.empty_like(output), np.exp(-1 / (50.0 * seconds))
+    slow, decay = np.empty_like(output), np.exp(-1 / (50.0 * seconds))
     slow[0] = output[0]
     for k in range(1, len(output)):
-        slow[k] = keep * slow[k - 1] + (1 - keep) * output[k]
+        slow[k] = decay * slow[k - 1] + (1 - decay) * output[k]
     return np.asarray((1 - share) * output + share * slow)
 
 
 def test_known_positions_tell_creep_from_good_order(source_model, linear_network, press):
     source = source_model.source
-    known = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
-    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4), method=Method())
+    staged_source = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
+    model = make_source_model(
+        staged_source, linear_network, np.arange(0, len(staged_source.windows), 4), method=Method()
+    )
     unit = press(2, gain=1.3, seconds=120.0)
     sound = replace(unit.unlabelled, stage_mm=unit.reference)
     kinds = [
@@ -232,7 +234,7 @@ def test_known_positions_tell_creep_from_good_order(source_model, linear_network
     assert "misread" not in kinds[0] and "misread" in kinds[1]
 
 
-def test_an_opening_is_judged_by_presses_its_map_has_not_seen(calibrate, press):
+def test_an_opening_is_scored_on_presses_its_map_has_not_read(calibrate, press):
     source, other = press(1, gain=1.3, offset_V=0.05, seconds=120.0), press(7, gain=1.3, offset_V=0.05, seconds=120.0)
     shared = 1500
     output = np.concatenate([source.unlabelled.output[:shared], other.unlabelled.output[shared:]])
@@ -243,7 +245,7 @@ def test_an_opening_is_judged_by_presses_its_map_has_not_seen(calibrate, press):
 
 
 @pytest.mark.parametrize(("lag_s", "count"), [(0.0, 0), (0.12, 1)])
-def test_a_unit_that_follows_late_in_a_shared_opening_is_told(lag_s, count):
+def test_a_unit_that_follows_late_in_a_shared_opening_is_reported(lag_s, count):
     assert len(opening_findings({"lag_s": lag_s, "shared_until_s": 40.0}, AUTO.findings)) == count
     assert opening_findings({"lag_s": lag_s}, AUTO.findings) == ()
 
@@ -261,5 +263,5 @@ def test_what_an_audit_takes_is_no_part_of_what_the_map_took(source_model, good,
     monkeypatch.setattr(measuring, "score_map", slow_score)
     monkeypatch.setattr(unit_calibration.time, "perf_counter", lambda: now_s[0])
     audit = press(3, gain=1.3, offset_V=0.05, seconds=120.0)
-    made = unit_calibration.calibrated(UnitProblem(replace(source_model, method=AFFINE), good, audit=audit))
-    assert now_s[0] == 100.0 and made.state.fit.fit_s == 0.0
+    calibration = unit_calibration.calibrated(UnitProblem(replace(source_model, method=AFFINE), good, audit=audit))
+    assert now_s[0] == 100.0 and calibration.state.fit.fit_s == 0.0

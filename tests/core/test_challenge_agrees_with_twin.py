@@ -16,8 +16,8 @@ from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 BASE = {"u0_mm": 0.32, "k1_N_mm": 1.1, "k3_N_mm3": 0.14, "r0_ohm": 4.2, "kappa_per_N": 0.055}
 READOUT = {"vref_V": 3.3, "r_series_ohm": 9.0, "adc_bits": 24, "sample_rate_Hz": 50.0}
 RIG = Rig(noise_V=0.0, noise_N=0.0, **BASE, **READOUT)
-_DRAWN = one_rich_run(np.random.default_rng(4), 2.6)
-PATH = replace(_DRAWN, corner_s=np.round(_DRAWN.corner_s * 50.0) / 50.0)
+_RICH_RUN = one_rich_run(np.random.default_rng(4), 2.6)
+PATH = replace(_RICH_RUN, corner_s=np.round(_RICH_RUN.corner_s * 50.0) / 50.0)
 """Corners on sampling instants: between them the twin, which sees samples only, and the fine grid go the same way."""
 VALUES: dict[str, tuple[float, ...]] = {
     "backlash": (0.06,),

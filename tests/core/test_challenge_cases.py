@@ -20,8 +20,8 @@ def test_the_same_seed_gives_the_same_case() -> None:
     first, again, other = (draw_case(seed, "case", "pair") for seed in (5, 5, 6))
     assert asdict(first) == asdict(again) != asdict(other)
     for plan in first.plans:
-        got, same = first.measure(plan).columns, again.measure(plan).columns
-        assert all(np.array_equal(got[name], same[name]) for name in got)
+        columns, same = first.measure(plan).columns, again.measure(plan).columns
+        assert all(np.array_equal(columns[name], same[name]) for name in columns)
 
 
 def test_every_effect_has_a_size() -> None:
@@ -75,9 +75,9 @@ def test_distance_is_zero_without_a_cause_and_grows_with_its_size() -> None:
 
 def test_the_refit_finds_the_base_of_a_case_without_causes() -> None:
     case = draw_case(4, "case", "none")
-    found = refit_base(case)
+    base = refit_base(case)
     for name in BASE:
-        assert getattr(found, name) == pytest.approx(getattr(case.rig, name), rel=0.02)
+        assert getattr(base, name) == pytest.approx(getattr(case.rig, name), rel=0.02)
 
 
 def test_a_seal_opens_with_its_commitment_only() -> None:

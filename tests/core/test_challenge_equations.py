@@ -66,10 +66,10 @@ def compression(t_s: Array) -> Array:
 
 
 def test_base_model_is_the_written_one() -> None:
-    got = measure(UP).columns
-    force_N = pad(compression(got["t_s"]))
-    np.testing.assert_allclose(got["force_N"], force_N, atol=1e-12)
-    np.testing.assert_allclose(got["output_V"], volts(force_N), atol=1e-8)
+    measured = measure(UP).columns
+    force_N = pad(compression(measured["t_s"]))
+    np.testing.assert_allclose(measured["force_N"], force_N, atol=1e-12)
+    np.testing.assert_allclose(measured["output_V"], volts(force_N), atol=1e-8)
 
 
 FORCE: list[tuple[str, dict[str, float], Callable[[Array], Array]]] = [
@@ -103,9 +103,9 @@ FORCE: list[tuple[str, dict[str, float], Callable[[Array], Array]]] = [
 def test_force_of_a_rising_ramp_follows_the_closed_form(
     effect: str, values: dict[str, float], expected: Callable[[Array], Array]
 ) -> None:
-    got = columns(UP, effect, **values)
+    measured = columns(UP, effect, **values)
     # The contact falls between two grid points; z and LP see its first 2 ms as a straight line.
-    np.testing.assert_allclose(got["force_N"], expected(got["t_s"]), atol=2e-4)
+    np.testing.assert_allclose(measured["force_N"], expected(measured["t_s"]), atol=2e-4)
 
 
 def _hysteresis_load(t_s: Array) -> Array:
@@ -133,22 +133,22 @@ OUTPUT: list[tuple[str, dict[str, float], Callable[[Array], Array]]] = [
 def test_output_of_a_rising_ramp_follows_the_closed_form(
     effect: str, values: dict[str, float], expected: Callable[[Array], Array]
 ) -> None:
-    got = columns(UP, effect, **values)
-    np.testing.assert_allclose(got["output_V"], expected(got["t_s"]), atol=2e-5)
+    measured = columns(UP, effect, **values)
+    np.testing.assert_allclose(measured["output_V"], expected(measured["t_s"]), atol=2e-5)
 
 
 def test_channel_collapse_acts_above_its_onset() -> None:
-    got = columns(UP, "channel_collapse", size_per_N2=0.05, onset_N=2.0)
-    force_N = got["force_N"]
+    measured = columns(UP, "channel_collapse", size_per_N2=0.05, onset_N=2.0)
+    force_N = measured["force_N"]
     ohm = 4.0 / (1 - 0.06 * force_N) * (1 + 0.05 * np.maximum(0.0, force_N - 2.0) ** 2)
-    np.testing.assert_allclose(got["output_V"], 3.3 * ohm / (ohm + 10.0), atol=1e-8)
+    np.testing.assert_allclose(measured["output_V"], 3.3 * ohm / (ohm + 10.0), atol=1e-8)
 
 
 def test_soft_frame_solves_its_implicit_equation() -> None:
-    got = columns(UP, "frame_compliance", compliance_mm_per_N=0.08)
-    for stage_mm, force_N in zip(got["stage_mm"][::25], got["force_N"][::25], strict=True):
-        reach_mm = max(0.0, stage_mm - 0.3)
-        expected = brentq(lambda f, r=reach_mm: f - pad(np.array(max(0.0, r - 0.08 * f))), 0.0, 20.0)
+    measured = columns(UP, "frame_compliance", compliance_mm_per_N=0.08)
+    for stage_mm, force_N in zip(measured["stage_mm"][::25], measured["force_N"][::25], strict=True):
+        travel_mm = max(0.0, stage_mm - 0.3)
+        expected = brentq(lambda f, r=travel_mm: f - pad(np.array(max(0.0, r - 0.08 * f))), 0.0, 20.0)
         assert force_N == pytest.approx(expected, abs=1e-7)
 
 
@@ -171,19 +171,21 @@ def _hold_force(t: float) -> float:
 
 @pytest.mark.parametrize("effect", ["stress_relaxation", "channel_creep", "loadcell_creep"])
 def test_memory_in_a_hold_agrees_with_an_ode_solver(effect: str) -> None:
-    got = columns(HOLD, effect, share=0.2, tau_s=3.0)
-    force_N = np.array([_hold_force(t) for t in got["t_s"]])
-    slow_N = _low_pass(got["t_s"], _hold_force, 3.0, 0.0)
+    measured = columns(HOLD, effect, share=0.2, tau_s=3.0)
+    force_N = np.array([_hold_force(t) for t in measured["t_s"]])
+    slow_N = _low_pass(measured["t_s"], _hold_force, 3.0, 0.0)
     expected_N = {"stress_relaxation": force_N - 0.2 * slow_N, "loadcell_creep": force_N + 0.2 * slow_N}
-    np.testing.assert_allclose(got["force_N"], np.maximum(0.0, expected_N.get(effect, force_N)), atol=1e-4)
+    np.testing.assert_allclose(measured["force_N"], np.maximum(0.0, expected_N.get(effect, force_N)), atol=1e-4)
     if effect == "channel_creep":
-        np.testing.assert_allclose(got["output_V"], volts(0.8 * force_N + 0.2 * slow_N), atol=1e-5)
+        np.testing.assert_allclose(measured["output_V"], volts(0.8 * force_N + 0.2 * slow_N), atol=1e-5)
 
 
 def test_readout_lag_agrees_with_an_ode_solver() -> None:
-    got = columns(HOLD, "readout_lag", tau_s=0.4)
-    expected = _low_pass(got["t_s"], lambda t: float(volts(np.array(_hold_force(t)))), 0.4, float(volts(np.array(0.0))))
-    np.testing.assert_allclose(got["output_V"], expected, atol=1e-5)
+    measured = columns(HOLD, "readout_lag", tau_s=0.4)
+    expected = _low_pass(
+        measured["t_s"], lambda t: float(volts(np.array(_hold_force(t)))), 0.4, float(volts(np.array(0.0)))
+    )
+    np.testing.assert_allclose(measured["output_V"], expected, atol=1e-5)
 
 
 def test_hysteresis_does_not_depend_on_the_rate() -> None:
@@ -194,37 +196,42 @@ def test_hysteresis_does_not_depend_on_the_rate() -> None:
 
 
 def test_backlash_meets_the_stage_when_it_falls() -> None:
-    got = columns(TRIANGLES, "backlash", width_mm=0.1)
-    falling = (got["t_s"] > 5.5) & (got["t_s"] < 9.0)
-    np.testing.assert_allclose(got["force_N"][falling], pad(np.maximum(0.0, got["stage_mm"][falling] - 0.3)), atol=1e-9)
+    measured = columns(TRIANGLES, "backlash", width_mm=0.1)
+    falling = (measured["t_s"] > 5.5) & (measured["t_s"] < 9.0)
+    np.testing.assert_allclose(
+        measured["force_N"][falling], pad(np.maximum(0.0, measured["stage_mm"][falling] - 0.3)), atol=1e-9
+    )
 
 
 def test_mullins_softens_with_every_completed_compression() -> None:
-    got, base = columns(TRIANGLES, "mullins_softening", size=0.2, cycles=1.5), measure(TRIANGLES).columns
+    measured, base = columns(TRIANGLES, "mullins_softening", size=0.2, cycles=1.5), measure(TRIANGLES).columns
     for cycle, middle_s in enumerate((4.0, 14.0, 24.0)):
         k = int(middle_s * 50)
         factor = 1 - 0.2 * (1 - np.exp(-cycle / 1.5))
-        assert got["force_N"][k] == pytest.approx(base["force_N"][k] * factor)
+        assert measured["force_N"][k] == pytest.approx(base["force_N"][k] * factor)
 
 
 def test_hum_is_one_line_in_the_spectrum() -> None:
     still = Path("still", np.array([0.0, 19.98]), np.zeros(2))
-    got = columns(still, "mains_hum", amplitude_V=0.01, frequency_Hz=10.0)["output_V"]
-    spectrum = 2.0 * np.abs(np.fft.rfft(got - got.mean())) / len(got)
+    output_V = columns(still, "mains_hum", amplitude_V=0.01, frequency_Hz=10.0)["output_V"]
+    spectrum = 2.0 * np.abs(np.fft.rfft(output_V - output_V.mean())) / len(output_V)
     assert np.argmax(spectrum) == 200
     assert spectrum[200] == pytest.approx(0.01, rel=1e-3)
 
 
 def test_dropped_samples_close_up() -> None:
-    got, whole = columns(TRIANGLES, "dropped_samples", count=6.0)["output_V"], measure(TRIANGLES).columns["output_V"]
-    np.testing.assert_allclose(got[:20], whole[:20])
-    np.testing.assert_allclose(got[-106:-6], whole[-100:], atol=1e-9)
+    output_V, whole = (
+        columns(TRIANGLES, "dropped_samples", count=6.0)["output_V"],
+        measure(TRIANGLES).columns["output_V"],
+    )
+    np.testing.assert_allclose(output_V[:20], whole[:20])
+    np.testing.assert_allclose(output_V[-106:-6], whole[-100:], atol=1e-9)
 
 
 def test_intermittent_contact_adds_one_step_of_resistance() -> None:
     still = Path("still", np.array([0.0, 40.0]), np.zeros(2))
-    got = columns(still, "intermittent_contact", step_ohm=0.5, count=3.0, mean_s=1.0)["output_V"]
-    levels = np.unique(np.round(got, 6))
+    output_V = columns(still, "intermittent_contact", step_ohm=0.5, count=3.0, mean_s=1.0)["output_V"]
+    levels = np.unique(np.round(output_V, 6))
     np.testing.assert_allclose(levels, [volts(np.array(0.0)), volts(np.array(0.0), lead_ohm=0.5)], atol=1e-6)
 
 
@@ -247,26 +254,26 @@ def test_special_runs_show_what_they_isolate() -> None:
 def test_noise_and_adc_are_those_of_the_rig() -> None:
     still = Path("still", np.array([0.0, 400.0]), np.zeros(2))
     noisy = replace(RIG, noise_V=2e-3, noise_N=0.01, adc_bits=12)
-    got = measure(still, rig=noisy).columns
-    assert np.std(got["output_V"]) == pytest.approx(noisy.noise_floor_V, rel=0.03)
-    assert np.std(got["force_N"]) == pytest.approx(0.01, rel=0.03)
-    codes = got["output_V"] / (3.3 / 4095)
+    measured = measure(still, rig=noisy).columns
+    assert np.std(measured["output_V"]) == pytest.approx(noisy.noise_floor_V, rel=0.03)
+    assert np.std(measured["force_N"]) == pytest.approx(0.01, rel=0.03)
+    codes = measured["output_V"] / (3.3 / 4095)
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-6)
 
 
 def test_strain_sensor_follows_the_compression_and_not_the_force() -> None:
     strain = replace(RIG, sensor_type="strain", kappa_per_N=0.1)
-    got = columns(HOLD, "stress_relaxation", rig=strain, share=0.3, tau_s=2.0)
-    assert np.ptp(got["output_V"][100:]) < 1e-8 < np.ptp(got["force_N"][100:])
+    measured = columns(HOLD, "stress_relaxation", rig=strain, share=0.3, tau_s=2.0)
+    assert np.ptp(measured["output_V"][100:]) < 1e-8 < np.ptp(measured["force_N"][100:])
 
 
 @pytest.mark.parametrize(("effect", "form"), OTHER_FORMS)
 def test_another_form_resembles_the_catalogue_effect_without_being_it(effect: str, form: str) -> None:
     values = VALUES[effect]
     base = measure(TRIANGLES).columns
-    own, other = (measure(TRIANGLES, Cause(effect, f, values)).columns for f in ("catalogue", form))
-    channel = "force_N" if np.ptp(own["force_N"] - base["force_N"]) > 0 else "output_V"
-    first, second = own[channel] - base[channel], other[channel] - base[channel]
+    catalogue, other = (measure(TRIANGLES, Cause(effect, f, values)).columns for f in ("catalogue", form))
+    channel = "force_N" if np.ptp(catalogue["force_N"] - base["force_N"]) > 0 else "output_V"
+    first, second = catalogue[channel] - base[channel], other[channel] - base[channel]
     assert 0.3 < np.linalg.norm(second) / np.linalg.norm(first) < 3.0
     assert np.linalg.norm(second - first) > 0.02 * np.linalg.norm(first)
 

@@ -20,42 +20,46 @@ def labels(seed: int) -> list[Label]:
     return [Label(case, "00", 100.0) for case in cases]
 
 
-def said(verdict: str, named: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()) -> dict[str, Any]:
+def make_answer(
+    verdict: str, probabilities: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()
+) -> dict[str, Any]:
     return {
         "verdict": verdict,
-        "causes": [{"effect": effect, "probability": named.get(effect, 0.0)} for effect in CATALOGUE],
+        "causes": [{"effect": effect, "probability": probabilities.get(effect, 0.0)} for effect in CATALOGUE],
         "ambiguous_with": [list(group) for group in groups],
         "where": [{"stage": "transduction", "share": 1.0}],
         "shrink": {"predicted": 0.97, "low": 0.9, "high": 1.0},
     }
 
 
-def truth(label: Label) -> dict[str, Any]:
+def true_answer(label: Label) -> dict[str, Any]:
     if label.case.mistake:
-        told = Mistake.from_text(label.case.mistake)
-        named = {"what": told.what, "channel": told.channel, "runs": list(told.runs) or "all"}
-        return {**said("data", {}), "data": [named]}
+        mistake = Mistake.from_text(label.case.mistake)
+        mistake_json = {"what": mistake.what, "channel": mistake.channel, "runs": list(mistake.runs) or "all"}
+        return {**make_answer("data", {}), "data": [mistake_json]}
     causes = {cause.effect for cause in label.case.causes}
     if not causes:
-        return said("no_gap", {})
-    return said("explained", dict.fromkeys(causes, 1.0)) if causes <= set(CATALOGUE) else said("unknown", {})
+        return make_answer("no_gap", {})
+    return (
+        make_answer("explained", dict.fromkeys(causes, 1.0)) if causes <= set(CATALOGUE) else make_answer("unknown", {})
+    )
 
 
 def peeks_at_the_stage(label: Label) -> dict[str, Any]:
     """Knows the stage of the first cause, and names the first effect of it."""
     first = next((e for e, q in CATALOGUE.items() if q.stage in label.case.stages), "backlash")
-    return said("explained", {first: 1.0})
+    return make_answer("explained", {first: 1.0})
 
 
 MUTANTS: dict[str, Mutant] = {
-    "always no gap": lambda label: said("no_gap", {}),
-    "always unknown": lambda label: said("unknown", {}),
-    "always a data mistake": lambda label: said("data", {}),
-    "first of the catalogue": lambda label: said("explained", {next(iter(CATALOGUE)): 1.0}),
-    "last of the catalogue": lambda label: said("explained", {list(CATALOGUE)[-1]: 1.0}),
-    "everything at once": lambda label: said("explained", dict.fromkeys(CATALOGUE, 1.0)),
-    "everything ambiguous": lambda label: said("ambiguous", dict.fromkeys(CATALOGUE, 0.4), (tuple(CATALOGUE),)),
-    "never a name": lambda label: said("no_gap" if label.case.name.endswith(("0", "2")) else "unknown", {}),
+    "always no gap": lambda label: make_answer("no_gap", {}),
+    "always unknown": lambda label: make_answer("unknown", {}),
+    "always a data mistake": lambda label: make_answer("data", {}),
+    "first of the catalogue": lambda label: make_answer("explained", {next(iter(CATALOGUE)): 1.0}),
+    "last of the catalogue": lambda label: make_answer("explained", {list(CATALOGUE)[-1]: 1.0}),
+    "everything at once": lambda label: make_answer("explained", dict.fromkeys(CATALOGUE, 1.0)),
+    "everything ambiguous": lambda label: make_answer("ambiguous", dict.fromkeys(CATALOGUE, 0.4), (tuple(CATALOGUE),)),
+    "never a name": lambda label: make_answer("no_gap" if label.case.name.endswith(("0", "2")) else "unknown", {}),
     "the first effect of the stage": peeks_at_the_stage,
 }
 
@@ -70,35 +74,39 @@ def test_an_answer_that_does_not_look_falls_below_the_floors(mutant: str) -> Non
 
 def test_the_truth_stands_above_them() -> None:
     every = labels(1)
-    assert shortfalls(score_reports(every, {label.case.name: truth(label) for label in every})) == []
+    assert shortfalls(score_reports(every, {label.case.name: true_answer(label) for label in every})) == []
 
 
 def test_a_diagnosis_that_fails_on_one_line_alone_is_seen() -> None:
     every = labels(1)
     for line in MIN_SHARES:
         reports = {
-            label.case.name: said("explained", {"dropped_samples": 1.0}) if label.case.line == line else truth(label)
+            label.case.name: make_answer("explained", {"dropped_samples": 1.0})
+            if label.case.line == line
+            else true_answer(label)
             for label in every
         }
-        told = shortfalls(score_reports(every, reports))
-        assert [sentence.split(":")[0] for sentence in told] == [line]
+        found_shortfalls = shortfalls(score_reports(every, reports))
+        assert [sentence.split(":")[0] for sentence in found_shortfalls] == [line]
 
 
 def test_reports_of_a_line_that_are_left_out_are_a_shortfall() -> None:
     every = labels(1)
-    told = shortfalls(score_reports(every, {la.case.name: truth(la) for la in every if la.case.line != "outside"}))
-    assert [sentence.split(":")[0] for sentence in told] == ["outside"]
+    found_shortfalls = shortfalls(
+        score_reports(every, {la.case.name: true_answer(la) for la in every if la.case.line != "outside"})
+    )
+    assert [sentence.split(":")[0] for sentence in found_shortfalls] == ["outside"]
 
 
 def test_forty_cases_of_the_mix_pass_with_the_truth_and_fall_without_looking() -> None:
     every = [Label(case, "00", 100.0) for case in draw_challenge(seed=5, count=40)]
     lines = [label.case.line for label in every]
     assert min(lines.count(line) for line in MIN_SHARES) >= PER_LINE
-    assert shortfalls(score_reports(every, {label.case.name: truth(label) for label in every})) == []
+    assert shortfalls(score_reports(every, {label.case.name: true_answer(label) for label in every})) == []
     for mutant in MUTANTS.values():
         assert shortfalls(score_reports(every, {label.case.name: mutant(label) for label in every})) != []
 
 
 def test_a_line_that_nobody_drew_is_no_shortfall() -> None:
     usual = [label for label in labels(1) if label.case.line == "usual"]
-    assert shortfalls(score_reports(usual, {label.case.name: truth(label) for label in usual})) == []
+    assert shortfalls(score_reports(usual, {label.case.name: true_answer(label) for label in usual})) == []

@@ -34,14 +34,14 @@ STEP = np.where(T > 0, 5.0, 0.0)
 
 
 def test_a_held_force_relaxes_as_kohlrausch_wrote():
-    got = form("stress_relaxation")(STEP, moment(), 0.2, 3.0)
+    values = form("stress_relaxation")(STEP, moment(), 0.2, 3.0)
     expected = 5.0 * (1.0 - 0.2 * (1.0 - np.exp(-np.sqrt(T / 3.0))))
-    np.testing.assert_allclose(got[50:], expected[50:], atol=0.01)
+    np.testing.assert_allclose(values[50:], expected[50:], atol=0.01)
 
 
 def test_a_held_cell_creeps_with_the_cube_root_of_time():
-    got = form("loadcell_creep")(STEP, moment(), 0.02, 12.0)
-    np.testing.assert_allclose(got[100:], (5.0 * (1.0 + 0.6 * 0.02 * np.cbrt(T / 12.0)))[100:], atol=0.002)
+    values = form("loadcell_creep")(STEP, moment(), 0.02, 12.0)
+    np.testing.assert_allclose(values[100:], (5.0 * (1.0 + 0.6 * 0.02 * np.cbrt(T / 12.0)))[100:], atol=0.002)
 
 
 def test_a_first_press_is_not_softened_and_the_way_back_is():
@@ -52,8 +52,8 @@ def test_a_first_press_is_not_softened_and_the_way_back_is():
     np.testing.assert_allclose(ratio[T < 10], 1.0, atol=1e-12)
     energy = 0.5 * RIG.k1_N_mm * 9.0 + RIG.k3_N_mm3 * 81.0 / 4.0
     at = np.argmin(np.abs(T - 15))
-    left = 0.5 * RIG.k1_N_mm * depth[at] ** 2 + RIG.k3_N_mm3 * depth[at] ** 4 / 4.0
-    assert ratio[at] == pytest.approx(1.0 - 0.1 * erf((energy - left) / (2.0 * 4.5 / 2.4)), abs=1e-4)
+    energy_left = 0.5 * RIG.k1_N_mm * depth[at] ** 2 + RIG.k3_N_mm3 * depth[at] ** 4 / 4.0
+    assert ratio[at] == pytest.approx(1.0 - 0.1 * erf((energy - energy_left) / (2.0 * 4.5 / 2.4)), abs=1e-4)
 
 
 def test_the_friction_state_solves_dahls_equation():
@@ -74,8 +74,8 @@ def test_the_low_pass_delays_a_ramp_by_its_tau_and_passes_a_constant():
 
 def test_the_cell_swings_at_its_frequency():
     push = np.where(T > 1.0, 5.0, 0.0)
-    got = PUBLISHED_OUTSIDE["cell_ringing"].apply(push, moment(), 4.0, 0.05)
-    after = got[T > 1.0] - 5.0
+    values = PUBLISHED_OUTSIDE["cell_ringing"].apply(push, moment(), 4.0, 0.05)
+    after = values[T > 1.0] - 5.0
     ups = np.flatnonzero((after[:-1] < 0) & (after[1:] >= 0))
     assert 1.0 / (np.diff(ups)[0] * STEP_s) == pytest.approx(4.0, rel=0.02)
     assert after.max() / 5.0 == pytest.approx(np.exp(-np.pi * 0.05 / np.sqrt(1 - 0.05**2)), rel=0.05)
@@ -112,11 +112,11 @@ def test_every_published_equation_is_drawn_and_has_a_size():
 @pytest.mark.parametrize("line", LINES)
 def test_seeds_cannot_be_tried_one_by_one(line: str) -> None:
     case = draw_challenge(2**127 + 5, 1)[0]
-    drawn = draw_case(2**127 + 5, "case", line)
-    for plan in (*case.plans, *drawn.plans, drawn.kept_back):
+    sealed_case = draw_case(2**127 + 5, "case", line)
+    for plan in (*case.plans, *sealed_case.plans, sealed_case.kept_back):
         assert plan.seed.bit_length() > 96, "31 bits were tried against a path in minutes"
-    again = msgspec.convert(json.loads(json.dumps(asdict(drawn))), type(drawn))
-    assert again.plans == drawn.plans
+    again = msgspec.convert(json.loads(json.dumps(asdict(sealed_case))), type(sealed_case))
+    assert again.plans == sealed_case.plans
 
 
 def test_what_is_printed_of_a_rig_carries_no_draw():

@@ -34,18 +34,27 @@ def report(
 
 
 def label(*effects: str, line: str = "usual", sigma: float = 100.0, name: str = "case-1") -> Label:
-    drawn = draw_case(1, name, "none")
+    sealed_case = draw_case(1, name, "none")
     causes = tuple(Cause(effect, "outside" if effect == "slip" else "catalogue", {}) for effect in effects)
-    case = SealedCase(name, line, drawn.rig, drawn.peak_N, drawn.depth_mm, causes, drawn.plans, drawn.kept_back)
+    case = SealedCase(
+        name,
+        line,
+        sealed_case.rig,
+        sealed_case.peak_N,
+        sealed_case.depth_mm,
+        causes,
+        sealed_case.plans,
+        sealed_case.kept_back,
+    )
     return Label(case, "00", sigma)
 
 
-def outcome(truth: Label, said: dict[str, Any]) -> str:
-    return CaseScore(truth, read_answer("case-1", said)).outcome
+def outcome(truth: Label, answer: dict[str, Any]) -> str:
+    return CaseScore(truth, read_answer("case-1", answer)).outcome
 
 
 @pytest.mark.parametrize(
-    ("truth", "said", "expected"),
+    ("truth", "answer", "expected"),
     [
         (label("channel_creep"), report("explained", {"channel_creep": 0.98}), "right"),
         (label("channel_creep"), report("explained", {"readout_lag": 0.98}), "wrong"),
@@ -74,8 +83,8 @@ def outcome(truth: Label, said: dict[str, Any]) -> str:
         (label("slip"), report("explained", {"backlash": 0.9}), "wrong"),
     ],
 )
-def test_an_answer_gets_one_word(truth: Label, said: dict[str, Any], expected: str) -> None:
-    assert outcome(truth, said) == expected
+def test_an_answer_gets_one_word(truth: Label, answer: dict[str, Any], expected: str) -> None:
+    assert outcome(truth, answer) == expected
 
 
 def test_a_case_without_a_report_counts_as_wrong() -> None:
@@ -100,7 +109,7 @@ def test_a_strange_report_counts_as_wrong_and_stops_nothing(strange: str) -> Non
     labels = [label("channel_creep", name="case-1"), label("channel_creep", name="case-2"), label(name="case-3")]
     sound = report("explained", {"channel_creep": 0.9})
     sheet = score_reports(labels, {"case-1": STRANGE[strange], "case-2": sound, "case-3": STRANGE[strange]})
-    assert [judged.outcome for judged in sheet.case_scores] == ["wrong", "right", "wrong"]
+    assert [case_score.outcome for case_score in sheet.case_scores] == ["wrong", "right", "wrong"]
     assert "case-1" in sheet.case_scores[0].unread
     json.dumps(sheet.to_record(), allow_nan=False)
 
@@ -120,10 +129,10 @@ def test_numbers_that_make_no_twin_shrink_nothing(
 ) -> None:
     case = next(c for k in range(20) if len((c := draw_case(k, "case-1", "usual")).causes) and _leaves_a_gap(c))
     rig = {name: getattr(case.rig, name) for name in BASE}
-    named = [{"effect": effect, "probability": 1.0, "parameters": parameters}]
-    told = {**report("explained", {}), "causes": named, "base": {**rig, **base}}
+    causes = [{"effect": effect, "probability": 1.0, "parameters": parameters}]
+    answer = {**report("explained", {}), "causes": causes, "base": {**rig, **base}}
     sheet = score_reports(
-        [Label(case, "00", 100.0)], {"case-1": told}, lambda la, said: explained_fraction(la.case, said)
+        [Label(case, "00", 100.0)], {"case-1": answer}, lambda la, said: explained_fraction(la.case, said)
     )
     assert sheet.case_scores[0].explained_fraction == 0.0
 
@@ -156,8 +165,8 @@ def test_wilson_agrees_with_scipy() -> None:
 
 
 def test_honest_probabilities_have_no_calibration_error(rng: np.random.Generator) -> None:
-    stated = rng.random(200_000)
-    assert calibration_error(stated, (rng.random(200_000) < stated).astype(float)) < 0.01
+    probabilities = rng.random(200_000)
+    assert calibration_error(probabilities, (rng.random(200_000) < probabilities).astype(float)) < 0.01
     assert calibration_error(np.full(100, 0.95), np.zeros(100)) == pytest.approx(0.95)
 
 
@@ -167,7 +176,7 @@ def test_a_report_of_another_shape_is_refused_in_one_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("verdict", "told", "expected"),
+    ("verdict", "mistakes", "expected"),
     [
         ("data", [("unit_factor", "output", [2])], "right"),
         ("data", [("unit_factor", "output", "all")], "abstained"),
@@ -180,18 +189,18 @@ def test_a_report_of_another_shape_is_refused_in_one_line() -> None:
     ],
 )
 def test_a_mistake_in_the_recordings_asks_for_its_kind_channel_and_run(
-    verdict: str, told: list[tuple[str, str, object]], expected: str
+    verdict: str, mistakes: list[tuple[str, str, object]], expected: str
 ) -> None:
     mistake = Mistake("unit_factor", "output", (2,), 1e-3).to_text()
-    spoilt = replace(label("channel_creep"), case=replace(label("channel_creep").case, mistake=mistake))
-    data = [{"what": what, "channel": channel, "runs": runs} for what, channel, runs in told]
-    assert outcome(spoilt, {**report(verdict, {"channel_creep": 0.98}), "data": data}) == expected
+    mistaken = replace(label("channel_creep"), case=replace(label("channel_creep").case, mistake=mistake))
+    data = [{"what": what, "channel": channel, "runs": runs} for what, channel, runs in mistakes]
+    assert outcome(mistaken, {**report(verdict, {"channel_creep": 0.98}), "data": data}) == expected
 
 
 def test_a_unit_of_the_whole_case_may_be_asked_about_beside_any_verdict() -> None:
     case = replace(label().case, mistake=Mistake("unit_factor", "force", (), 9.80665).to_text())
-    asked = {**report("no_gap", {}), "data": [{"what": "unit_factor", "channel": "force", "runs": "all"}]}
-    assert outcome(replace(label(), case=case), asked) == "right"
+    answer = {**report("no_gap", {}), "data": [{"what": "unit_factor", "channel": "force", "runs": "all"}]}
+    assert outcome(replace(label(), case=case), answer) == "right"
     assert outcome(replace(label(), case=case), report("no_gap", {})) == "wrong"
 
 
@@ -205,15 +214,19 @@ def test_a_forecast_of_a_wrong_cause_is_scored_too() -> None:
 
 
 def test_the_log_score_is_that_of_what_is_stated_or_at_work() -> None:
-    stated, present = np.array([0.9, 0.0, 0.3, 0.0, 0.02]), np.array([1.0, 0.0, 0.0, 1.0, 0.0])
+    probabilities, present = np.array([0.9, 0.0, 0.3, 0.0, 0.02]), np.array([1.0, 0.0, 0.0, 1.0, 0.0])
     expected = -np.mean(np.log([0.9, 0.7, 1e-3]))
-    assert log_score(stated, present) == pytest.approx(expected)
+    assert log_score(probabilities, present) == pytest.approx(expected)
     assert np.isnan(log_score(np.zeros(25), np.zeros(25)))
 
 
 @pytest.mark.parametrize("verdict", ["unknown", "explained_in_part"])
 def test_a_false_name_beside_a_rest_is_wrong(verdict: str) -> None:
     labels = [label("slip"), label("slip", name="case-2"), label("channel_creep", name="case-3")]
-    told = [report(verdict, {"backlash": 0.6}), report(verdict, {"backlash": 0.4}), report(verdict, {"backlash": 0.6})]
-    sheet = score_reports(labels, {f"case-{k}": one for k, one in enumerate(told, start=1)})
+    answers = [
+        report(verdict, {"backlash": 0.6}),
+        report(verdict, {"backlash": 0.4}),
+        report(verdict, {"backlash": 0.6}),
+    ]
+    sheet = score_reports(labels, {f"case-{k}": one for k, one in enumerate(answers, start=1)})
     assert [j.outcome for j in sheet.case_scores] == ["wrong", "right", "wrong"]

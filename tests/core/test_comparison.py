@@ -31,16 +31,16 @@ def test_loads_in_another_unit_are_named(factor: float, is_source: bool, measure
     pairs = pair(measured_data)
     for source, target in (pairs, pairs[::-1]):
         other = labelled(target.unlabelled.output, target.reference * factor)
-        (told,) = compare_recordings(other, source) if is_source else compare_recordings(source, other)
-        assert told.code == "inspect.other_unit" and UNIT_OF[factor] in str(told)
+        (difference,) = compare_recordings(other, source) if is_source else compare_recordings(source, other)
+        assert difference.code == "inspect.other_unit" and UNIT_OF[factor] in str(difference)
         assert codes(source, target) == []
 
 
 def test_a_pressure_in_psi_is_named(measured_data: Path) -> None:
     source, target = pair(measured_data)
     source, target = (labelled(one.unlabelled.output, one.reference, "kPa") for one in (source, target))
-    (told,) = compare_recordings(source, labelled(target.unlabelled.output, target.reference / 6.89476, "kPa"))
-    assert "psi" in str(told)
+    (difference,) = compare_recordings(source, labelled(target.unlabelled.output, target.reference / 6.89476, "kPa"))
+    assert "psi" in str(difference)
 
 
 def test_a_sign_is_named_for_the_column_that_has_it(measured_data: Path) -> None:
@@ -50,8 +50,8 @@ def test_a_sign_is_named_for_the_column_that_has_it(measured_data: Path) -> None
         labelled(-target.unlabelled.output, target.reference),
     ]
     for column, other in zip(("reference", "output"), turned, strict=True):
-        (told,) = compare_recordings(source, other)
-        assert told.code == "inspect.other_sign" and told.values["column"] == column
+        (difference,) = compare_recordings(source, other)
+        assert difference.code == "inspect.other_sign" and difference.values["column"] == column
 
 
 @pytest.mark.parametrize("gain", [0.3, 3.0])
@@ -73,5 +73,5 @@ def test_a_channel_that_never_moves_is_not_compared(measured_data: Path) -> None
 
 def test_no_two_measured_places_of_a_skin_are_named(measured_data: Path) -> None:
     tables = [pd.read_parquet(path) for path in sorted((measured_data / "skin_places").glob("*.parquet"))]
-    places = [labelled(table["output_V"].to_numpy(), table["force_N"].to_numpy()) for table in tables]
-    assert [codes(one, other) for one in places for other in places] == [[]] * len(places) ** 2
+    recordings = [labelled(table["output_V"].to_numpy(), table["force_N"].to_numpy()) for table in tables]
+    assert [codes(one, other) for one in recordings for other in recordings] == [[]] * len(recordings) ** 2

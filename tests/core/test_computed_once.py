@@ -23,12 +23,12 @@ def unit(press):
 
 
 def test_rest_and_peak_are_matched_once_a_recording(source_model, unit, monkeypatch):
-    seen, match = [], interface.match_ends
-    monkeypatch.setattr(interface, "match_ends", lambda *given: seen.append(given) or match(*given))
+    calls, match = [], interface.match_ends
+    monkeypatch.setattr(interface, "match_ends", lambda *given: calls.append(given) or match(*given))
     calibration = calibrate(UnitProblem(source_model, unit))
     assert calibration.unit_map.family == "averaged"
     # The recording, and it without each share.
-    assert len(seen) == 1 + Method().forecast.parts
+    assert len(calls) == 1 + Method().forecast.parts
 
 
 def test_f_reads_each_map_once(source_model, unit, monkeypatch):
@@ -45,9 +45,9 @@ def test_f_reads_each_map_once(source_model, unit, monkeypatch):
     "name", layered(sorted(BUILTIN_FAMILIES.keys() - {"synchronous", "stage_matched"}), ("affine", "monotone"))
 )
 def test_mapping_samples_is_mapping_windows_to_the_last_bit(source_model, unit, name):
-    keep = np.ones(len(unit), dtype=bool)
-    keep[600:650] = keep[900:905] = False
-    gapped = replace(unit, t_s=unit.t_s[keep], output=unit.output[keep])
+    is_kept_row = np.ones(len(unit), dtype=bool)
+    is_kept_row[600:650] = is_kept_row[900:905] = False
+    gapped = replace(unit, t_s=unit.t_s[is_kept_row], output=unit.output[is_kept_row])
     rows = np.arange(len(gapped.windows))
     fitted = BUILTIN_FAMILIES[name].fit(FitProblem(source_model.source, source_model.network, gapped))
     mapped = evidence._mapped(fitted, gapped, rows)

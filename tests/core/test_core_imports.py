@@ -40,9 +40,9 @@ def test_core_alone_imports_whole_says_all_it_says_and_reads_nothing(tmp_path: P
     folder = tmp_path / "alone"
     shutil.copytree(CORE, folder / "softcal" / "core", ignore=shutil.ignore_patterns("__pycache__"))
     program = f"FOLDER, ROOT = {str(folder)!r}, {str(CORE.parent)!r}\n{IMPORT_ALL}"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder)
-    assert done.returncode == 0, done.stderr[-2000:]
-    found = json.loads(done.stdout.splitlines()[-1])
-    assert len(found["files"]) > 150 and all(file.startswith(str(folder)) for file in found["files"])
-    assert found["read"] == []
-    assert set(found["codes"]) == {PLAIN, *UNIT_SENTENCES, *GAP_SENTENCES, *SENTENCES}
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder)
+    assert process.returncode == 0, process.stderr[-2000:]
+    content = json.loads(process.stdout.splitlines()[-1])
+    assert len(content["files"]) > 150 and all(file.startswith(str(folder)) for file in content["files"])
+    assert content["read"] == []
+    assert set(content["codes"]) == {PLAIN, *UNIT_SENTENCES, *GAP_SENTENCES, *SENTENCES}

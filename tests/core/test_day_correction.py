@@ -62,7 +62,7 @@ def test_the_same_day_is_left_alone(source_model, sitting):
     assert correction.day_map.gain == pytest.approx(1.0, abs=0.005) and correction.day_rmse < source_model.held_out_rmse
 
 
-def test_a_unit_of_another_programme_reads_its_loads_over_the_bridge(source_model, sitting, press):
+def test_a_unit_of_another_programme_reads_its_loads_by_the_day_correction(source_model, sitting, press):
     # Pressed lighter than the source: from its output alone it is a less sensitive one.
     golden, unit = (on_another_day(lighter(r, rest)) for r, rest in zip(sitting, (0.5, 0.7), strict=True))
     correction = fit_day_correction(source_model, golden)
@@ -95,7 +95,7 @@ def test_what_the_day_changes_is_in_forecast_and_interval(source_model, sitting)
     assert (whole.interval.half_width > without.interval.half_width).all()
 
 
-def test_a_golden_run_of_other_loads_is_told_and_not_used(source_model, sitting, press):
+def test_a_golden_run_of_other_loads_is_reported_and_not_used(source_model, sitting, press):
     correction = fit_day_correction(source_model, press(77, serial="S0", seconds=60.0))
     bridged = calibrate(UnitProblem(source_model, sitting[1].unlabelled, day_correction=correction))
     alone = calibrate(UnitProblem(source_model, sitting[1].unlabelled))
@@ -112,7 +112,7 @@ def test_the_golden_run_is_part_of_what_a_result_depends_on(source_model, sittin
 
 
 @pytest.mark.parametrize(
-    ("spoil", "facts"),
+    ("spoil", "message"),
     [
         (lambda golden, source: replace(golden.unlabelled, serial="U7"), "U7.*S0"),
         (lambda golden, source: source, "S0"),
@@ -120,6 +120,6 @@ def test_the_golden_run_is_part_of_what_a_result_depends_on(source_model, sittin
         (lambda golden, source: replace(golden, reference=golden.reference[::-1]), "S0.* N RMS"),
     ],
 )
-def test_a_golden_run_that_cannot_be_of_the_source_is_refused(source_model, sitting, spoil, facts):
-    with pytest.raises(InputError, match=facts):
+def test_a_golden_run_that_cannot_be_of_the_source_is_refused(source_model, sitting, spoil, message):
+    with pytest.raises(InputError, match=message):
         fit_day_correction(source_model, spoil(sitting[0], source_model.source))

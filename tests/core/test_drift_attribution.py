@@ -49,10 +49,10 @@ def test_shift_of_the_rest_is_applied_in_full_and_gain_as_far_as_it_vouches_for(
 @pytest.mark.parametrize(("shift", "applied"), [(0.05, 0.0), (0.3, 0.3 - STEP), (-0.05, -0.05)])
 def test_rest_that_follows_the_size_of_the_use_is_its_creep(shift: float, applied: float) -> None:
     """Harder use raises the rest of a sensor that creeps, never lowers it."""
-    left, log_gain = DriftAttribution(zero=REST, rest=REST).applied_drift(about(REST, 0.3, shift), SURE)
+    offset, log_gain = DriftAttribution(zero=REST, rest=REST).applied_drift(about(REST, 0.3, shift), SURE)
 
     assert log_gain == 0
-    assert left == pytest.approx(applied)
+    assert offset == pytest.approx(applied)
 
 
 def test_gain_that_may_be_use_is_doubted() -> None:
@@ -78,11 +78,11 @@ def test_what_may_be_chance_is_not_applied() -> None:
 
 def test_gain_taken_for_drift_that_was_use_costs_no_more_than_the_shift_repaid(rng: np.random.Generator) -> None:
     """Were all of the gain use, its correction moves the mean by at most what correcting the shift saved."""
-    use = rng.normal(size=100_000)
+    signal = rng.normal(size=100_000)
     shift = 0.05
     attribution = DriftAttribution(zero=REST, rest=REST, rest_path=shift)
 
     applied = attribution.applied_drift(about(REST, 0.5, shift), SURE)
 
-    left = shift - (applied[0] + np.expm1(applied[1]) * use)
-    assert abs(np.mean(left)) <= 1.05 * shift
+    remaining = shift - (applied[0] + np.expm1(applied[1]) * signal)
+    assert abs(np.mean(remaining)) <= 1.05 * shift

@@ -25,18 +25,18 @@ def test_drift_that_stands_is_the_weighted_mean_of_what_was_measured(rng: np.ran
     np.testing.assert_allclose(state.drift_covariance(), np.linalg.inv(precision), atol=1e-12)
 
 
-def test_witness_that_was_told_never_knows_the_drift_better_than_it_was_told() -> None:
+def test_a_correlated_observer_is_never_surer_of_the_drift_than_its_source() -> None:
     state = DriftFilter.start(np.array([0.1, 0.05])).with_learnt(np.zeros((2, 2)))
-    told = state.drift_covariance()
+    covariance = state.drift_covariance()
 
     for _ in range(200):
         state = state.update(0, np.zeros(2), NOISE)
 
-    np.testing.assert_allclose(state.drift_covariance(), told, rtol=1e-9)
+    np.testing.assert_allclose(state.drift_covariance(), covariance, rtol=1e-9)
     assert np.trace(state.predict_measurement(0)[1]) < 1e-6
 
 
-def test_witness_that_was_told_sees_what_moves_later() -> None:
+def test_a_correlated_observer_sees_what_moves_later() -> None:
     state = DriftFilter.start(np.array([0.1, 0.05])).with_learnt(np.zeros((2, 2)))
     moved = np.array([0.3, -0.1])
 
@@ -62,10 +62,10 @@ def test_forgetting_an_activity_leaves_the_others() -> None:
     for k in range(3):
         state = state.with_independent((k + 1) * NOISE)
 
-    left = state.without(1)
+    remaining = state.without(1)
 
-    assert left.mean.shape == (6,)
-    np.testing.assert_array_equal(left.covariance[4:, 4:], 3 * NOISE)
+    assert remaining.mean.shape == (6,)
+    np.testing.assert_array_equal(remaining.covariance[4:, 4:], 3 * NOISE)
 
 
 @pytest.mark.parametrize("steps", [4_000])

@@ -39,11 +39,11 @@ def through_json(value: object) -> dict[str, object]:
 
 
 def test_declared_fields_come_back_to_the_last_bit_and_others_are_given() -> None:
-    found = from_state(Outer, through_json(outer()), threshold=9.0)
+    state = from_state(Outer, through_json(outer()), threshold=9.0)
 
-    np.testing.assert_array_equal(found.inner.covariance, outer().inner.covariance)
-    np.testing.assert_array_equal(found.many[1].mean, outer().many[1].mean)
-    assert (found.samples, found.last_s, found.threshold) == ([0.1, 0.2], None, 9.0)
+    np.testing.assert_array_equal(state.inner.covariance, outer().inner.covariance)
+    np.testing.assert_array_equal(state.many[1].mean, outer().many[1].mean)
+    assert (state.samples, state.last_s, state.threshold) == ([0.1, 0.2], None, 9.0)
 
 
 def test_only_declared_fields_are_kept() -> None:

@@ -33,11 +33,11 @@ NOTHING = DriftEvidence(
 )
 
 
-def counted(seen: DriftEvidence) -> float:
-    return float(np.sqrt(sum(estimate_uncertainty(seen, CONFIG).ambiguous.values())))
+def counted(evidence: DriftEvidence) -> float:
+    return float(np.sqrt(sum(estimate_uncertainty(evidence, CONFIG).ambiguous.values())))
 
 
-def test_a_drift_that_is_applied_in_full_holds_nothing_and_its_doubt_grows_with_its_size() -> None:
+def test_a_drift_that_is_applied_in_full_holds_nothing_and_its_uncertainty_grows_with_its_size() -> None:
     small, large = (replace(NOTHING, drift=d, applied_drift=d) for d in (np.array([0.4, 0.0]), np.array([0.8, 0.0])))
 
     assert counted(large) == 0.0

@@ -9,7 +9,7 @@ import pytest
 from softcal.core.operation.activity import CalibratedOperation, learn_operation
 from softcal.core.operation.cycles import CycleSegmenter
 from softcal.core.operation.method import DriftTracking
-from softcal.core.operation.observation import FOLLOWED, HELD
+from softcal.core.operation.observation import FOLLOWED, ON_HOLD
 from softcal.core.operation.tracker import DriftTracker
 from softcal.core.recording import Array, OutputRecording
 
@@ -43,10 +43,12 @@ def calibrated_operation(ageing: float, timing: float = 0.0) -> CalibratedOperat
     return learn_operation(OutputRecording("A1", np.arange(len(output)) / RATE_HZ, output, RATE_HZ), True, 1.0)
 
 
-def operate(tracker: DriftTracker, use: CalibratedOperation, output: Array) -> list[str]:
+def operate(tracker: DriftTracker, operation: CalibratedOperation, output: Array) -> list[str]:
     """Return the verdicts of an output's cycles."""
     segmenter, verdicts = (
-        CycleSegmenter(use.low, use.high, use.cycle_samples, use.max_samples, DriftTracking().cycle),
+        CycleSegmenter(
+            operation.low, operation.high, operation.cycle_samples, operation.max_samples, DriftTracking().cycle
+        ),
         [],
     )
     t_s = np.arange(len(output)) / RATE_HZ
@@ -68,11 +70,11 @@ def grown(timing: float = 0.0, is_reversed: bool = False) -> Array:
     return read(loads, np.minimum(GAIN, np.linspace(1.05, 1.1 * GAIN, len(loads))), 4)
 
 
-def test_a_gain_about_a_standing_rest_is_followed_where_it_aged_under_the_calibration() -> None:
-    use = calibrated_operation(ageing=0.06)
-    tracker = DriftTracker(use)
+def test_a_gain_about_a_constant_rest_is_followed_where_it_aged_under_the_calibration() -> None:
+    operation = calibrated_operation(ageing=0.06)
+    tracker = DriftTracker(operation)
 
-    verdicts = operate(tracker, use, grown())
+    verdicts = operate(tracker, operation, grown())
 
     assert corrected_top(tracker) == pytest.approx(2.0, abs=0.06)
     assert verdicts[-1] == FOLLOWED
@@ -80,21 +82,21 @@ def test_a_gain_about_a_standing_rest_is_followed_where_it_aged_under_the_calibr
 
 @pytest.mark.parametrize("ageing", [0.0, 0.002])
 def test_the_same_growth_after_a_calibration_that_stood_is_use_as_well(ageing: float) -> None:
-    use = calibrated_operation(ageing)
-    tracker = DriftTracker(use)
+    operation = calibrated_operation(ageing)
+    tracker = DriftTracker(operation)
 
-    verdicts = operate(tracker, use, grown())
+    verdicts = operate(tracker, operation, grown())
 
     assert corrected_top(tracker) == pytest.approx(1.0 + GAIN, abs=0.03)
-    assert HELD in verdicts
+    assert ON_HOLD in verdicts
 
 
 def test_the_belief_grows_with_the_ageing_under_the_calibration_and_not_by_a_threshold() -> None:
     tops = []
     for ageing in (0.0, 0.025, 0.035, 0.05, 0.08):
-        use = calibrated_operation(ageing)
-        tracker = DriftTracker(use)
-        operate(tracker, use, grown())
+        operation = calibrated_operation(ageing)
+        tracker = DriftTracker(operation)
+        operate(tracker, operation, grown())
         tops.append(corrected_top(tracker))
 
     assert all(less <= more + 0.01 for more, less in pairwise(tops))
@@ -102,29 +104,29 @@ def test_the_belief_grows_with_the_ageing_under_the_calibration_and_not_by_a_thr
 
 
 def test_a_person_who_presses_harder_is_not_believed_to_be_a_sensor_that_ages() -> None:
-    use = calibrated_operation(ageing=0.06, timing=0.04)
-    tracker = DriftTracker(use)
+    operation = calibrated_operation(ageing=0.06, timing=0.04)
+    tracker = DriftTracker(operation)
 
-    operate(tracker, use, grown(timing=0.04))
+    operate(tracker, operation, grown(timing=0.04))
 
     assert corrected_top(tracker) == pytest.approx(1.0 + GAIN, abs=0.03)
 
 
 def test_cycles_that_fall_as_the_calibrated_ones_rose_are_another_use() -> None:
     """Levels, their shares of the time, speed and duration are those of the calibration; their order is not."""
-    use = calibrated_operation(ageing=0.06)
-    same, turned = DriftTracker(use), DriftTracker(use)
+    operation = calibrated_operation(ageing=0.06)
+    same, turned = DriftTracker(operation), DriftTracker(operation)
 
-    operate(same, use, grown())
-    operate(turned, use, grown(is_reversed=True))
+    operate(same, operation, grown())
+    operate(turned, operation, grown(is_reversed=True))
 
     assert 1.0 + GAIN - corrected_top(turned) < 0.3 * (1.0 + GAIN - corrected_top(same))
 
 
 def test_the_state_of_what_is_believed_goes_through_json_and_back() -> None:
-    use = calibrated_operation(ageing=0.06)
-    tracker, other = DriftTracker(use), DriftTracker(use)
-    operate(tracker, use, grown())
+    operation = calibrated_operation(ageing=0.06)
+    tracker, other = DriftTracker(operation), DriftTracker(operation)
+    operate(tracker, operation, grown())
 
     other.restore(json.loads(json.dumps(tracker.state())))
 

@@ -46,7 +46,7 @@ units = st.tuples(
 )
 
 
-def drawn(unit):
+def simulate_unit(unit):
     speed_mm_s, acceleration_mm_s2, rest_V, range_V, power, noise_V, bits, seed = unit
     rng, stage_mm = np.random.default_rng(seed), pressed_mm(speed_mm_s, acceleration_mm_s2)
     depth = np.maximum(0.0, stage_mm - 0.5) / 2.5
@@ -59,13 +59,13 @@ def drawn(unit):
 
 @given(units)
 def test_no_press_however_fast_or_stiff_is_a_dropout(unit):
-    output_V, stage_mm, _ = drawn(unit)
+    output_V, stage_mm, _ = simulate_unit(unit)
     assert find_dropouts(output_V, stage_mm) == []
 
 
 @given(units, st.integers(1, 3), st.sampled_from(["0 V", "halved", "rail"]))
 def test_one_to_three_lost_samples_are_found_where_they_are(unit, count, kind):
-    output_V, stage_mm, rng = drawn((*unit[:2], max(unit[2], 1.0), unit[3], *unit[4:]))
+    output_V, stage_mm, rng = simulate_unit((*unit[:2], max(unit[2], 1.0), unit[3], *unit[4:]))
     # In a hold or at rest: while it is pressed fast, half of the output may lie within what a press does in a sample.
     still = np.flatnonzero(np.abs(np.gradient(stage_mm)) < 1e-9)
     still = still[(still > 10) & (still < len(T_S) - 20)]
@@ -104,7 +104,7 @@ def test_several_dropouts_are_all_found():
 
 @given(st.floats(0.1, 100.0), st.floats(-5.0, 5.0), units)
 def test_neither_unit_nor_zero_of_the_output_matters(gain, zero, unit):
-    output_V, stage_mm, _ = drawn((*unit[:6], 0, unit[7]))
+    output_V, stage_mm, _ = simulate_unit((*unit[:6], 0, unit[7]))
     output_V[1000:1002] += 10.0
     plain = find_dropouts(output_V, stage_mm)
     assert [(d.begin, d.end) for d in plain] == [(1000, 1002)]
@@ -115,11 +115,11 @@ def test_without_the_stage_only_a_jump_over_the_whole_range_is_a_dropout():
     stage_mm = pressed_mm(5.0, 1000.0)
     output_V = 1.0 + stage_mm + np.random.default_rng(4).normal(0.0, 0.002, len(T_S))
     still = np.flatnonzero((stage_mm > 2.99) & (np.roll(stage_mm, 20) > 2.99))
-    for level, is_told in ((2.5, False), (0.0, True)):
+    for level, is_found in ((2.5, False), (0.0, True)):
         broken_V = output_V.copy()
         broken_V[still[0] - 5 : still[0] + 5] = level
         assert len(find_dropouts(broken_V, stage_mm)) == 1
-        assert len(find_dropouts(broken_V)) == is_told
+        assert len(find_dropouts(broken_V)) == is_found
 
 
 def test_a_step_that_stays_a_constant_and_few_samples_are_no_dropouts():

@@ -21,9 +21,11 @@ from tests.unit_states import with_fitted
 def calibration(source_model, linear_network, press) -> UnitState:
     unit = press(2, gain=1.3, offset_V=0.05).unlabelled
     problem = FitProblem(source_model.source, linear_network, unit)
-    made = calibrate(UnitProblem(source_model, problem.target, anchors=problem.anchors))
+    calibration_state = calibrate(UnitProblem(source_model, problem.target, anchors=problem.anchors))
     exact = AffineMap(gain=1 / 1.3, offset=-0.05 / 1.3)
-    return with_fitted(made, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
+    return with_fitted(
+        calibration_state, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100)
+    )
 
 
 def test_estimates_follow_the_load_and_the_interval_encloses_them(linear_network, calibration, press):

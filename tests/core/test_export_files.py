@@ -49,8 +49,8 @@ def unit_file(linear_network: Network, press: Press, network_file: NetworkFile) 
     recording = press(2, gain=1.1).unlabelled
     unit_map = AffineMap(1 / 1.1, 0.0)
     estimate = linear_network.evaluate(unit_map.apply(recording.windows))
-    facts = DeviceRecord("A1", 3, "pass", 1_700_000_000, unit_map, recording, estimate - 0.1, estimate + 0.2, 0.05)
-    return build_unit_file(facts, linear_network, network_file, DeviceOptions()).file
+    record = DeviceRecord("A1", 3, "pass", 1_700_000_000, unit_map, recording, estimate - 0.1, estimate + 0.2, 0.05)
+    return build_unit_file(record, linear_network, network_file, DeviceOptions()).file
 
 
 def _resealed(data: bytes) -> bytes:
@@ -267,15 +267,15 @@ def test_no_window_at_all_takes_a_mix_out_of_32_bits(rng: np.random.Generator) -
             + int(mix.bias[k])
             for k in range(5)
         ]
-        found = []
+        overflows = []
         for tap in range(-7, 8):
             total = before = 0
             for step in reversed(steps):
                 assert abs(tap * total) < 2**31
                 total, before = step + (tap * total >> 2) - before, total
             assert abs(total + 255 * window[tap + 7] + 32) < 2**31
-            found.append(max(-32_767, min(32_767, (total + 255 * window[tap + 7] + 32) >> 6)))
-        assert mix.apply(np.array([window])).tolist() == [found]
+            overflows.append(max(-32_767, min(32_767, (total + 255 * window[tap + 7] + 32) >> 6)))
+        assert mix.apply(np.array([window])).tolist() == [overflows]
 
 
 def test_a_network_too_large_for_the_format_is_refused(press: Press) -> None:

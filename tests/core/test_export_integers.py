@@ -38,8 +38,8 @@ def _counts(net: IntegerNetwork, x: np.ndarray) -> np.ndarray:
 def test_integers_stay_within_a_thousandth_of_the_span(network: Network, source_windows: np.ndarray) -> None:
     net = quantise_network(network, source_windows)
     exact = evaluate_float64(network, source_windows)
-    found = net.evaluate(_counts(net, source_windows)) * 10.0**net.output_exponent
-    assert np.sqrt(np.mean((found - exact) ** 2)) < 1e-3 * np.ptp(exact)
+    integer_estimate = net.evaluate(_counts(net, source_windows)) * 10.0**net.output_exponent
+    assert np.sqrt(np.mean((integer_estimate - exact) ** 2)) < 1e-3 * np.ptp(exact)
 
 
 def test_the_float64_yardstick_agrees_with_the_network(network: Network, source_windows: np.ndarray) -> None:
@@ -73,8 +73,8 @@ def test_rows_of_any_size_keep_fourteen_bits(rng: np.random.Generator, scale: fl
     weights, inputs = scale * rng.normal(size=(8, 40)), rng.integers(-32_767, 32_768, (500, 40))
     exact = inputs @ weights.T
     layer = quantise_layer(weights, np.zeros(8), np.ones(40), np.abs(exact).max(axis=0) / 30_000)
-    found = layer.apply(inputs, is_rectified=False) * np.abs(exact).max(axis=0) / 30_000
-    assert np.abs(found - exact).max() < 3e-4 * np.abs(exact).max()
+    integer_estimate = layer.apply(inputs, is_rectified=False) * np.abs(exact).max(axis=0) / 30_000
+    assert np.abs(integer_estimate - exact).max() < 3e-4 * np.abs(exact).max()
 
 
 def test_rows_without_any_weight_give_their_bias() -> None:
@@ -93,8 +93,8 @@ def test_a_piecewise_map_agrees_with_linear_interpolation(rng: np.random.Generat
         codes = np.sort(rng.choice(65_536, 32, replace=False))
         values = direction * np.sort(rng.integers(-32_767, 32_768, 32))
         every = np.arange(65_536)
-        found = PiecewiseMap(codes, values).apply(every)
-        assert np.abs(found - np.interp(every, codes, values)).max() <= 0.5
+        integer_estimate = PiecewiseMap(codes, values).apply(every)
+        assert np.abs(integer_estimate - np.interp(every, codes, values)).max() <= 0.5
 
 
 @pytest.mark.parametrize(

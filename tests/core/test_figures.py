@@ -19,21 +19,21 @@ from softcal.core.messages.reason import Reason, reason
 
 @given(st.floats(1e-6, 1e6))
 def test_an_uncertainty_has_two_significant_digits_and_is_not_moved_by_more_than_half_a_step(value: float) -> None:
-    shown = Decimal(format_uncertainty(value))
-    digits = "".join(map(str, shown.normalize().as_tuple().digits))
+    rounded = Decimal(format_uncertainty(value))
+    digits = "".join(map(str, rounded.normalize().as_tuple().digits))
     assert len(digits) <= 2
-    assert float(shown) == pytest.approx(value, rel=0.0501)
+    assert float(rounded) == pytest.approx(value, rel=0.0501)
 
 
 @given(st.floats(-1e4, 1e4), st.floats(1e-4, 1e4))
 def test_a_value_has_the_decimals_of_its_uncertainty(value: float, uncertainty: float) -> None:
-    shown, u = format_value(value, uncertainty), format_uncertainty(uncertainty)
-    assert len(shown.partition(".")[2]) == len(u.partition(".")[2])
-    assert abs(float(shown) - value) <= 0.051 * uncertainty * 1.001
+    text, u = format_value(value, uncertainty), format_uncertainty(uncertainty)
+    assert len(text.partition(".")[2]) == len(u.partition(".")[2])
+    assert abs(float(text) - value) <= 0.051 * uncertainty * 1.001
 
 
 @pytest.mark.parametrize(
-    ("value", "uncertainty", "shown", "u"),
+    ("value", "uncertainty", "text", "u"),
     [
         (0.3290796, 0.052345, "0.329", "0.052"),
         (0.3290796, 0.0996, "0.33", "0.10"),
@@ -41,18 +41,18 @@ def test_a_value_has_the_decimals_of_its_uncertainty(value: float, uncertainty: 
         (2.0, 0.5, "2.00", "0.50"),
     ],
 )
-def test_as_the_guide_writes_it(value: float, uncertainty: float, shown: str, u: str) -> None:
-    assert (format_value(value, uncertainty), format_uncertainty(uncertainty)) == (shown, u)
+def test_as_the_guide_writes_it(value: float, uncertainty: float, text: str, u: str) -> None:
+    assert (format_value(value, uncertainty), format_uncertainty(uncertainty)) == (text, u)
 
 
 @given(st.floats(0.1, 1), st.floats(-2e-3, 2e-3), st.integers(0, 4))
 def test_rounding_never_turns_a_comparison_around(value: float, apart: float, decimals: int) -> None:
     values = {"upper": value, "limit": value + apart}
-    found = find_decimals(values, decimals, [("upper", "limit")])
-    shown = {name: float(with_decimals(one, found)) for name, one in values.items()}
+    decimals_needed = find_decimals(values, decimals, [("upper", "limit")])
+    printed = {name: float(with_decimals(one, decimals_needed)) for name, one in values.items()}
     if abs(apart) > 1e-8:
-        assert (shown["upper"] <= shown["limit"]) == (values["upper"] <= values["limit"])
-    assert found >= decimals
+        assert (printed["upper"] <= printed["limit"]) == (values["upper"] <= values["limit"])
+    assert decimals_needed >= decimals
 
 
 STATED = st.builds(lambda digits, power: Decimal(digits).scaleb(power), st.integers(1, 99_999), st.integers(-7, 1))

@@ -11,9 +11,9 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.episodes import with_intervals, with_line, with_losses
 from softcal.core.gap.evidence import in_catalogue_form, with_constants
+from softcal.core.gap.fault_location import explained_twin
 from softcal.core.gap.fit import fit, structure
 from softcal.core.gap.hypothesis import Hypothesis, start_coordinates
-from softcal.core.gap.places import explained_twin
 from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -22,7 +22,7 @@ from softcal.core.twin.simulate import EffectSetting, Twin, simulate, twin_from_
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=12, r_series_ohm=10.0, sample_rate_Hz=50.0)
 BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.015)
 DEPTH_mm = 3.1
-CEILING_V, FLOOR_V = 1.38, 0.97
+CEILING_V, LOW_STOP_V = 1.38, 0.97
 SINGLES = {
     "backlash": {"b": 0.05},
     "stress_relaxation": {"g": 0.1, "tau": 5.0},
@@ -38,14 +38,14 @@ SINGLES = {
 
 def make_case(*effects, profiles_=None, seed=1, base=BASE, readout=READOUT):
     rng = np.random.default_rng(seed)
-    pressed = profiles_ or (
+    press_profiles = profiles_ or (
         profiles.ramps([DEPTH_mm] * 2, 0.6),
         profiles.ramps([DEPTH_mm] * 6, 4.0),
         profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
         profiles.random_presses(rng, 20.0, DEPTH_mm),
     )
     runs = []
-    for k, profile in enumerate(pressed):
+    for k, profile in enumerate(press_profiles):
         t_s, stage_mm = profile.sample(50.0)
         temperature_C = 22.0 + 3.0 * (1 - np.exp(-t_s / 10.0)) + 0.3 * np.sin(t_s / 3.0 + k)
         settings = tuple(EffectSetting(e, v, ep) for e, v, ep in effects)
@@ -123,11 +123,11 @@ def test_lost_samples_are_found_in_place_and_number():
     assert diagnosis.causes[0].effect == "dropped_samples"
     rows = [diagnosis.best.hypothesis.episodes_of(k)["dropped_samples"] for k in range(4)]
     assert all(r[:, 1].sum() == 5 for r in rows)
-    for run, found in zip(diagnosis.case.runs, rows, strict=True):
+    for run, lost_rows in zip(diagnosis.case.runs, rows, strict=True):
         # Within a hold nobody can tell where samples are missing.
-        first_s, last_s = sorted((found[0, 0], 6.0))
-        between = (run.elapsed_s >= first_s) & (run.elapsed_s <= last_s)
-        assert last_s - first_s < 0.5 or np.ptp(run.stage_mm[between]) < 1e-6
+        first_s, last_s = sorted((lost_rows[0, 0], 6.0))
+        in_interval = (run.elapsed_s >= first_s) & (run.elapsed_s <= last_s)
+        assert last_s - first_s < 0.5 or np.ptp(run.stage_mm[in_interval]) < 1e-6
 
 
 @pytest.mark.parametrize("seed", [121, 122])
@@ -135,10 +135,10 @@ def test_losses_are_found_although_a_run_has_a_seat_of_its_own(seed):
     rng = np.random.default_rng(seed)
     losses = tuple(sorted((float(rng.uniform(3.0, 12.0)), int(rng.integers(3, 20))) for _ in range(3)))
     base = TWIN.base_fit(make_case(("dropped_samples", {}, losses), seed=seed))
-    placed = with_losses(base, EFFECTS["dropped_samples"])
-    rows = [placed.hypothesis.episodes_of(k)["dropped_samples"] for k in range(4)]
+    refitted = with_losses(base, EFFECTS["dropped_samples"])
+    rows = [refitted.hypothesis.episodes_of(k)["dropped_samples"] for k in range(4)]
     assert [r[:, 1].sum() for r in rows] == [sum(count for _, count in losses)] * 4
-    assert not structure(placed).is_significant
+    assert not structure(refitted).is_significant
 
 
 def test_a_bad_contact_jumps_and_a_smooth_gap_does_not():
@@ -175,7 +175,7 @@ def test_two_effects_of_different_stages_are_both_named():
 def test_a_soft_frame_beside_a_large_cause_is_named_or_held_open_until_a_rigid_block_tells():
     case = make_case(("channel_collapse", {"beta": 0.025, "Fc": 4.0}, ()), ("frame_compliance", {"c_f": 0.03}, ()))
     diagnosis = diagnose(case)
-    in_play = {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids}
+    in_play = {i for competitor in diagnosis.competing_hypotheses for i in competitor.hypothesis.ids}
     assert in_play == {"channel_collapse", "frame_compliance"}
     if diagnosis.verdict == "ambiguous":
         assert diagnosis.ambiguous_with == [["channel_collapse", "frame_compliance"]]
@@ -188,7 +188,7 @@ def test_a_soft_frame_beside_a_large_cause_is_named_or_held_open_until_a_rigid_b
 def test_a_small_cause_that_the_equation_of_a_large_one_might_leave_is_held_open():
     case = make_case(("dropped_samples", {}, ((6.0, 12),)), ("frame_compliance", {"c_f": 0.04}, ()))
     diagnosis = diagnose(case)
-    assert {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids} == {
+    assert {i for competitor in diagnosis.competing_hypotheses for i in competitor.hypothesis.ids} == {
         "dropped_samples",
         "frame_compliance",
     }
@@ -197,14 +197,14 @@ def test_a_small_cause_that_the_equation_of_a_large_one_might_leave_is_held_open
 @pytest.mark.long
 def test_a_frame_with_a_toe_is_not_called_a_joint_that_closes_alone():
     diagnosis = diagnose(make_case(("frame_compliance", {"c_f": 0.05}, ()), ("misaligned_contact", {"l": 0.3}, ())))
-    assert {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids} == {
+    assert {i for competitor in diagnosis.competing_hypotheses for i in competitor.hypothesis.ids} == {
         "frame_compliance",
         "misaligned_contact",
     }
 
 
 @pytest.mark.long
-def test_samples_lost_beside_a_fast_clock_are_told_from_it():
+def test_samples_lost_beside_a_fast_clock_are_distinguished_from_it():
     diagnosis = diagnose(make_case(("dropped_samples", {}, ((6.0, 6),)), ("clock_skew", {"epsilon": 0.0015}, ())))
     assert {c.effect for c in diagnosis.causes if c.probability > 0.5} == {"dropped_samples", "clock_skew"}
     skew = next(c for c in diagnosis.causes if c.effect == "clock_skew").parameters["epsilon"]
@@ -289,8 +289,8 @@ def test_drift_of_reference_and_channel_without_temperature_is_resolved_or_calle
     case = make_case(("ageing_drift", {"gamma": 0.004, "tau": 60.0}, ()))
     case = Case("G1", tuple(dataclasses.replace(run, temperature_C=None) for run in case.runs))
     diagnosis = diagnose(case)
-    named = {i for rival in diagnosis.competing_hypotheses for i in rival.hypothesis.ids}
-    assert "ageing_drift" in named
+    competing_ids = {i for competitor in diagnosis.competing_hypotheses for i in competitor.hypothesis.ids}
+    assert "ageing_drift" in competing_ids
     assert diagnosis.case.missing_channels == ("temperature_C",)
     if diagnosis.verdict == "ambiguous":
         assert diagnosis.ambiguous_with and str(diagnosis.next_experiment.why)
@@ -340,9 +340,9 @@ def test_one_run_is_diagnosed_on_stretches_held_back():
 def test_special_runs_join_the_fit():
     case = make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ()))
     t_s = np.arange(500) / 50.0
-    known_N = np.floor(t_s / 2.0) * 1.5
-    read_N = known_N * (1 + 0.05 * (1 - known_N / 10.0)) + np.random.default_rng(1).normal(0, 0.015, 500)
-    weights = Run("weights", t_s, READOUT, force_N=read_N, known_force_N=known_N, kind="dead_weights")
+    weight_N = np.floor(t_s / 2.0) * 1.5
+    read_N = weight_N * (1 + 0.05 * (1 - weight_N / 10.0)) + np.random.default_rng(1).normal(0, 0.015, 500)
+    weights = Run("weights", t_s, READOUT, force_N=read_N, known_force_N=weight_N, kind="dead_weights")
     dummy_V = np.full(500, round(3.3 * 5 / 15 / READOUT.step_V) * READOUT.step_V)
     dummy = Run("dummy", t_s, READOUT, output_V=dummy_V, dummy_ohm=5.0, kind="dummy_resistor")
     rest = Run("rest", t_s, READOUT, output_V=np.full(500, 0.9428), kind="rest")
@@ -394,18 +394,18 @@ def test_the_explained_twin_foretells_an_unseen_profile():
     twin = explained_twin(diagnose(make_case(planted)).best)
     t_s, stage_mm = profiles.rate_sweep(2.8).sample(50.0)
     truth = simulate(Twin(BASE, (EffectSetting(*planted[:2]),), READOUT), t_s, stage_mm)
-    told = simulate(twin, t_s, stage_mm)
-    assert np.sqrt(np.mean((told[0] - truth[0]) ** 2)) < 0.01
-    assert np.sqrt(np.mean((told[1] - truth[1]) ** 2)) < 0.001
+    predicted = simulate(twin, t_s, stage_mm)
+    assert np.sqrt(np.mean((predicted[0] - truth[0]) ** 2)) < 0.01
+    assert np.sqrt(np.mean((predicted[1] - truth[1]) ** 2)) < 0.001
 
 
 def test_a_cause_fitted_in_another_form_is_reported_by_the_catalogues_equation():
     base = TWIN.base_fit(make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ())))
     form = EFFECTS["loadcell_nonlinearity"].forms[0]
     start = np.append(base.coordinates, start_coordinates([form.effect], [form.start([0.01, 10.0])]))
-    found = fit(base.problem, Hypothesis((form.effect,)), start, steps=40)
-    assert found.effect_values[0][0] != pytest.approx(0.05, abs=0.005)
-    twin = explained_twin(in_catalogue_form(found))
+    lost_rows = fit(base.problem, Hypothesis((form.effect,)), start, steps=40)
+    assert lost_rows.effect_values[0][0] != pytest.approx(0.05, abs=0.005)
+    twin = explained_twin(in_catalogue_form(lost_rows))
     size, span_N = (twin.effects[0].values[name] for name in ("lambda", "F_max"))
     # With another capacity the same curve has another λ and another gain.
     assert size / span_N / (1 + size) ** 2 == pytest.approx(0.05 / 10.0 / 1.05**2, rel=0.06)
@@ -419,31 +419,31 @@ def test_a_cause_enters_the_twin_by_the_form_it_was_fitted_in(form):
     values = [p.usual for p in EFFECTS[form.effect.id].parameters]
     values[0] = CEILING_V if form.effect.id == "adc_saturation" else values[0]
     start = np.append(base.coordinates, start_coordinates([form.effect], [form.start(values)]))
-    found = with_constants(fit(base.problem.bare, Hypothesis((form.effect,)), start, steps=0))
-    twin = explained_twin(found)
+    lost_rows = with_constants(fit(base.problem.bare, Hypothesis((form.effect,)), start, steps=0))
+    twin = explained_twin(lost_rows)
     (setting,) = twin.effects
     assert (setting.effect_id, setting.form) == (form.effect.id, form.effect.equation)
     again = twin_from_record(json.loads(json.dumps(twin_record(twin))), "test")
     assert again == twin
     run = base.problem.case.runs[1]
     force_N, output_V = simulate(again, run.t_s, run.stage_mm, None, run.temperature_C)
-    told = {b.channel: found.predicted[b.rows] for b in found.problem.blocks if b.run == 1}
-    np.testing.assert_allclose(force_N, told["force_N"], atol=1e-9)
-    np.testing.assert_allclose(output_V, told["output_V"], atol=READOUT.step_V)
+    predicted = {b.channel: lost_rows.predicted[b.rows] for b in lost_rows.problem.blocks if b.run == 1}
+    np.testing.assert_allclose(force_N, predicted["force_N"], atol=1e-9)
+    np.testing.assert_allclose(output_V, predicted["output_V"], atol=READOUT.step_V)
 
 
 def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():
-    case = make_case(("adc_saturation", {"V_min": FLOOR_V}, ()))
-    below = np.mean([np.mean(run.output_V < FLOOR_V + READOUT.step_V) for run in case.runs])
+    case = make_case(("adc_saturation", {"V_min": LOW_STOP_V}, ()))
+    below = np.mean([np.mean(run.output_V < LOW_STOP_V + READOUT.step_V) for run in case.runs])
     assert 0.05 < below < 0.6
     twin = explained_twin(diagnose(case).best)
     (setting,) = twin.effects
-    assert setting.effect_id == "adc_saturation" and setting.values == {"V_min": pytest.approx(FLOOR_V, abs=0.002)}
+    assert setting.effect_id == "adc_saturation" and setting.values == {"V_min": pytest.approx(LOW_STOP_V, abs=0.002)}
     again = twin_from_record(twin_record(twin), "test")
     t_s, stage_mm = profiles.rate_sweep(DEPTH_mm).sample(50.0)
-    told_V, bare_V = simulate(again, t_s, stage_mm)[1], simulate(twin.clean, t_s, stage_mm)[1]
-    assert told_V.min() == pytest.approx(FLOOR_V, abs=0.003)
-    assert told_V.max() == pytest.approx(bare_V.max(), abs=READOUT.step_V)
+    predicted_V, bare_V = simulate(again, t_s, stage_mm)[1], simulate(twin.clean, t_s, stage_mm)[1]
+    assert predicted_V.min() == pytest.approx(LOW_STOP_V, abs=0.003)
+    assert predicted_V.max() == pytest.approx(bare_V.max(), abs=READOUT.step_V)
 
 
 def test_a_hum_enters_the_twin_without_the_phases_of_the_runs():
@@ -462,7 +462,7 @@ def test_runs_that_do_not_belong_together_are_refused(plain):
 
 
 @pytest.mark.parametrize(
-    ("change", "facts"),
+    ("change", "message"),
     [
         ({"output_V": np.full(40, 0.5)}, "output_V .*0.5"),
         ({"force_N": np.full(40, np.nan)}, "force_N .*nan .*40"),
@@ -470,10 +470,10 @@ def test_runs_that_do_not_belong_together_are_refused(plain):
         ({"stage_mm": None, "force_N": None}, "stage_mm, force_N, output_V"),
     ],
 )
-def test_a_run_without_meaning_is_refused(change, facts):
+def test_a_run_without_meaning_is_refused(change, message):
     good = {"name": "run", "t_s": np.arange(40) / 50.0, "readout": READOUT}
     good |= dict.fromkeys(("stage_mm", "force_N", "output_V"), np.linspace(0, 1, 40))
-    with pytest.raises(InputError, match=facts):
+    with pytest.raises(InputError, match=message):
         Run(**(good | change))
 
 
@@ -481,8 +481,8 @@ def test_a_run_without_meaning_is_refused(change, facts):
 def test_a_clock_that_runs_ahead_is_not_blamed_for_what_comes_after_the_end():
     runs = []
     for run in make_case().runs:
-        held_V = np.interp(run.t_s * 1.002 + 0.05, run.t_s, run.output_V)
-        runs.append(dataclasses.replace(run, output_V=np.round(held_V / READOUT.step_V) * READOUT.step_V))
+        clamped_V = np.interp(run.t_s * 1.002 + 0.05, run.t_s, run.output_V)
+        runs.append(dataclasses.replace(run, output_V=np.round(clamped_V / READOUT.step_V) * READOUT.step_V))
     diagnosis = diagnose(Case("G1", tuple(runs)))
     assert {c.effect for c in diagnosis.causes if c.probability > 0.5} == {"clock_offset", "clock_skew"}
 

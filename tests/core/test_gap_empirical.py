@@ -12,7 +12,7 @@ from softcal.core.challenge.rig import Cause, Path, Rack, Rig, record
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.empirical import learn_residual
-from softcal.core.gap.places import explained_twin
+from softcal.core.gap.fault_location import explained_twin
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import terms_of_twin
 from softcal.core.twin.effects import Flow
@@ -26,7 +26,7 @@ DEPTH_mm, LOAD_N = 3.0, 5.5
 TERM = EmpiricalTerm("output_V", "memory(load, 8 s)", 0.013, LOAD_N, DEPTH_mm)
 
 
-def pressed(seed):
+def press_runs(seed):
     """Four runs of the common protocols and one more that is kept back."""
     rng = np.random.default_rng(seed)
     return (
@@ -51,16 +51,18 @@ def outside_run(name, values, profile, rng):
 
 def outside_case(name, values, seed=3):
     rng = np.random.default_rng(seed)
-    *runs, kept_back = (outside_run(name, values, profile, rng) for profile in pressed(seed))
-    return Case("G1", tuple(dataclasses.replace(r, name=f"run {k}") for k, r in enumerate(runs))), kept_back
+    *runs, held_out = (outside_run(name, values, profile, rng) for profile in press_runs(seed))
+    return Case("G1", tuple(dataclasses.replace(r, name=f"run {k}") for k, r in enumerate(runs))), held_out
 
 
-def gap(twin, run, found):
+def gap(twin, run, diagnosis):
     """Error above the noise on a run, channels in units of their noise."""
-    told = dict(
+    predicted = dict(
         zip(("force_N", "output_V"), simulate(twin, run.t_s, run.stage_mm, None, run.temperature_C), strict=True)
     )
-    errors = {c: np.sqrt(np.mean((getattr(run, c) - v) ** 2)) / found.problem.noise_floor(c) for c, v in told.items()}
+    errors = {
+        c: np.sqrt(np.mean((getattr(run, c) - v) ** 2)) / diagnosis.problem.noise_floor(c) for c, v in predicted.items()
+    }
     return sum(max(0.0, error - 1.0) for error in errors.values())
 
 
@@ -76,25 +78,25 @@ def gap(twin, run, found):
 def test_an_effect_outside_the_catalogue_is_described_and_the_twin_shrinks_the_gap_of_another_run(
     name, values, variable
 ):
-    case, kept_back = outside_case(name, values)
+    case, held_out = outside_case(name, values)
     base = TWIN.base_fit(case)
-    found = learn_residual(base, [base], list(terms_of_twin(base)))
-    assert found is not None and 1 <= len(found.terms) <= 3
-    assert variable in found.terms[0].term.variable
-    first = found.terms[0]
+    terms = learn_residual(base, [base], list(terms_of_twin(base)))
+    assert terms is not None and 1 <= len(terms.terms) <= 3
+    assert variable in terms.terms[0].term.variable
+    first = terms.terms[0]
     assert abs(first.term.coefficient) > 3.0 * first.standard_error > 0.0
-    assert first.term.unit in first.term.formula and found.explained_fraction.low > 0.0
-    twin = explained_twin(found.fit, [one.term for one in found.terms])
+    assert first.term.unit in first.term.formula and terms.explained_fraction.low > 0.0
+    twin = explained_twin(terms.fit, [one.term for one in terms.terms])
     again = twin_from_record(json.loads(json.dumps(twin_record(twin))), "file")
     assert again == twin
-    realised = 1.0 - gap(again, kept_back, base) / gap(explained_twin(base), kept_back, base)
-    assert realised == pytest.approx(found.explained_fraction.predicted, abs=0.10)
+    realised = 1.0 - gap(again, held_out, base) / gap(explained_twin(base), held_out, base)
+    assert realised == pytest.approx(terms.explained_fraction.predicted, abs=0.10)
 
 
 def test_noise_alone_gets_no_term():
     rng = np.random.default_rng(5)
     runs = []
-    for k, profile in enumerate(pressed(5)):
+    for k, profile in enumerate(press_runs(5)):
         t_s, stage_mm = profile.sample(50.0)
         runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, *simulate(Twin(BASE, (), READOUT), t_s, stage_mm, rng)))
     base = TWIN.base_fit(Case("G1", tuple(runs)))
@@ -105,7 +107,7 @@ def test_what_happens_once_in_a_run_gets_no_term():
     """A blow of half a second at another place in every run follows nothing that holds on a run held back."""
     rng = np.random.default_rng(6)
     runs = []
-    for k, profile in enumerate(pressed(6)):
+    for k, profile in enumerate(press_runs(6)):
         t_s, stage_mm = profile.sample(50.0)
         force_N, output_V = simulate(Twin(BASE, (), READOUT), t_s, stage_mm, rng)
         at_s = rng.uniform(0.2, 0.8) * t_s[-1]
@@ -116,9 +118,9 @@ def test_what_happens_once_in_a_run_gets_no_term():
 
 
 @pytest.mark.parametrize("variable", VARIABLES)
-@pytest.mark.parametrize("place", TERM_TARGETS)
-def test_a_term_streams_as_in_one_call_and_acts_at_its_place(place, variable):
-    twin = Twin(BASE, (), READOUT, (EmpiricalTerm(place, variable, 0.05, LOAD_N, DEPTH_mm),))
+@pytest.mark.parametrize("target", TERM_TARGETS)
+def test_a_term_streams_as_in_one_call_and_acts_at_its_place(target, variable):
+    twin = Twin(BASE, (), READOUT, (EmpiricalTerm(target, variable, 0.05, LOAD_N, DEPTH_mm),))
     t_s, stage_mm = profiles.steps_with_holds([1.2, DEPTH_mm, 2.0], hold_s=1.0).sample(50.0)
     temperature_C = 20.0 + t_s
     whole = simulate(twin, t_s, stage_mm, None, temperature_C)
@@ -129,8 +131,8 @@ def test_a_term_streams_as_in_one_call_and_acts_at_its_place(place, variable):
     for channel in (0, 1):
         np.testing.assert_allclose(np.concatenate([p[channel] for p in parts]), whole[channel], atol=1e-9)
     bare = simulate(twin.clean, t_s, stage_mm, None, temperature_C)
-    assert np.any(whole[0] != bare[0]) == (place != "output_V")
-    assert np.any(whole[1] != bare[1]) == (place != "force_N")
+    assert np.any(whole[0] != bare[0]) == (target != "output_V")
+    assert np.any(whole[1] != bare[1]) == (target != "force_N")
 
 
 def test_a_term_does_nothing_where_no_pad_is_pressed():
@@ -147,7 +149,7 @@ def test_a_twin_without_terms_keeps_the_first_schema():
 
 
 @pytest.mark.parametrize(
-    ("change", "facts"),
+    ("change", "message"),
     [
         ({"place": "stage_mm"}, "'stage_mm'.* F, force_N, output_V"),
         ({"variable": "mood"}, "'mood'"),
@@ -156,8 +158,8 @@ def test_a_twin_without_terms_keeps_the_first_schema():
         ({"unit": "V/s"}, " V, .*V/s"),
     ],
 )
-def test_a_term_without_meaning_is_refused(change, facts):
+def test_a_term_without_meaning_is_refused(change, message):
     entry = twin_record(Twin(BASE, (), READOUT, (TERM,)))
     entry["empirical"][0] |= change
-    with pytest.raises(InputError, match=facts):
+    with pytest.raises(InputError, match=message):
         twin_from_record(entry, "twin.json")

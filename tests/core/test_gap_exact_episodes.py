@@ -34,7 +34,7 @@ AT = np.array([to_fit(p, getattr(PAD, p.name)) for p in BASE])
 CONFIG = METHOD.mistake
 
 
-def doubts_of(case):
+def find_suspects(case):
     return suspect_units(case, CONFIG)
 
 
@@ -75,38 +75,38 @@ def base_of(*runs):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("lead", [0, 2])
-def test_a_path_of_losses_is_the_cheapest_of_all(seed, lead):
+@pytest.mark.parametrize("advance", [0, 2])
+def test_a_path_of_losses_is_the_cheapest_of_all(seed, advance):
     rng = np.random.default_rng(seed)
     n, longest, penalty = 34, 4, 3.0
-    signal = np.cumsum(rng.normal(size=n + lead + longest + 5))
-    true = np.zeros(n, dtype=int) + (1 if lead else 0)
+    signal = np.cumsum(rng.normal(size=n + advance + longest + 5))
+    true = np.zeros(n, dtype=int) + (1 if advance else 0)
     true[6:] += 2
-    measured = signal[np.minimum(np.arange(n) + true, n + lead - 1)] + rng.normal(0, 0.3, n)
-    predicted, noise = signal[: n + lead], np.full(n, 0.3)
+    measured = signal[np.minimum(np.arange(n) + true, n + advance - 1)] + rng.normal(0, 0.3, n)
+    predicted, noise = signal[: n + advance], np.full(n, 0.3)
 
     def cost(shifts, losses):
         at = np.arange(n) + shifts
-        z = np.where(at < n + lead, (measured - predicted[np.minimum(at, n + lead - 1)]) / noise, 1.0)
+        z = np.where(at < n + advance, (measured - predicted[np.minimum(at, n + advance - 1)]) / noise, 1.0)
         return np.sum(np.minimum(z**2, 25.0)) + penalty * losses
 
-    judged = METHOD.episode.judged
+    judged = METHOD.episode.min_following
     best = (np.inf, None)
-    for start in range(lead + 1):
+    for start in range(advance + 1):
         best = min(best, (cost(np.full(n, start), 0), (start,)), key=lambda b: b[0])
         for end in range(start + 1, longest + 1):
             for k in range(1, n):
-                if k < n + lead - end - judged:
+                if k < n + advance - end - judged:
                     shifts = np.where(np.arange(n) < k, start, end)
                     best = min(best, (cost(shifts, 1), tuple(shifts)), key=lambda b: b[0])
         for middle, end in combinations(range(start + 1, longest + 1), 2):
             for j, k in combinations(range(1, n), 2):
-                if j < n + lead - middle - judged and k < n + lead - end - judged:
+                if j < n + advance - middle - judged and k < n + advance - end - judged:
                     shifts = np.select([np.arange(n) < j, np.arange(n) < k], [start, middle], end)
                     best = min(best, (cost(shifts, 2), tuple(shifts)), key=lambda b: b[0])
-    found = lag_path(measured, predicted, noise, lead, longest, penalty, METHOD.episode.judged)
-    assert np.all(np.diff(found) >= 0)
-    assert cost(found.astype(int), np.count_nonzero(np.diff(found))) == pytest.approx(best[0])
+    path = lag_path(measured, predicted, noise, advance, longest, penalty, METHOD.episode.min_following)
+    assert np.all(np.diff(path) >= 0)
+    assert cost(path.astype(int), np.count_nonzero(np.diff(path))) == pytest.approx(best[0])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -130,7 +130,7 @@ def test_a_path_of_contacts_is_the_cheapest_of_all(seed):
 # Placed in the recordings of a pad.
 
 
-def lost(at, count):
+def lose_samples(at, count):
     def output(t_s, clean_V):
         longer = np.append(t_s, t_s[-1] + 0.02 * np.arange(1, 30))
         more_V = volt(resistance_of(elastic(swing(longer, 1.3))))
@@ -140,18 +140,18 @@ def lost(at, count):
 
 
 def test_losses_are_placed_where_they_are():
-    base = base_of(run_of(1, output=lost(250, 7)), run_of(2))
-    found = with_losses(base, EFFECTS["dropped_samples"])
-    first, second = (found.hypothesis.episodes_of(k)["dropped_samples"] for k in (0, 1))
+    base = base_of(run_of(1, output=lose_samples(250, 7)), run_of(2))
+    refitted = with_losses(base, EFFECTS["dropped_samples"])
+    first, second = (refitted.hypothesis.episodes_of(k)["dropped_samples"] for k in (0, 1))
     assert len(second) == 0 and len(first) == 1
     assert first[0] == pytest.approx((250 * 0.02, 7), abs=0.05)
-    assert found.chi2 < 1.2 * found.problem.count < base.chi2
-    assert found.hypothesis.episode_count == 1
-    assert found.penalty - base.penalty == pytest.approx(
-        (1 + METHOD.evidence.episode_cost) * np.log(found.problem.count) - 2 * np.log(METHOD.evidence.prior_odds)
+    assert refitted.chi2 < 1.2 * refitted.problem.count < base.chi2
+    assert refitted.hypothesis.episode_count == 1
+    assert refitted.penalty - base.penalty == pytest.approx(
+        (1 + METHOD.evidence.episode_cost) * np.log(refitted.problem.count) - 2 * np.log(METHOD.evidence.prior_odds)
     )
-    again = relocate_episodes(found)
-    assert again.bic <= found.bic
+    again = relocate_episodes(refitted)
+    assert again.bic <= refitted.bic
     whole = base_of(run_of(1), run_of(2))
     assert with_losses(whole, EFFECTS["dropped_samples"]) is None
 
@@ -159,14 +159,14 @@ def test_losses_are_placed_where_they_are():
 def test_a_second_loss_of_causes_costs_less_than_the_first():
     from softcal.core.gap.fit import penalty
 
-    base = base_of(run_of(1, output=lost(250, 7)), run_of(2))
-    found = with_losses(base, EFFECTS["dropped_samples"])
-    twice = replace(found.hypothesis, episodes=({"dropped_samples": np.array([[5.0, 4.0], [6.0, 3.0]])}, {}))
-    more = replace(found, hypothesis=twice)
-    each = METHOD.evidence.episode_cost * np.log(found.problem.count)
-    assert more.penalty - found.penalty == pytest.approx(each)
-    further = METHOD.evidence.further_episode_cost * np.log(found.problem.count)
-    assert penalty(more) - penalty(found) == pytest.approx(further)
+    base = base_of(run_of(1, output=lose_samples(250, 7)), run_of(2))
+    refitted = with_losses(base, EFFECTS["dropped_samples"])
+    twice = replace(refitted.hypothesis, episodes=({"dropped_samples": np.array([[5.0, 4.0], [6.0, 3.0]])}, {}))
+    more = replace(refitted, hypothesis=twice)
+    each = METHOD.evidence.episode_cost * np.log(refitted.problem.count)
+    assert more.penalty - refitted.penalty == pytest.approx(each)
+    further = METHOD.evidence.further_episode_cost * np.log(refitted.problem.count)
+    assert penalty(more) - penalty(refitted) == pytest.approx(further)
 
 
 @pytest.mark.parametrize("ohm", [0.8, -0.5, 0.035])
@@ -174,11 +174,11 @@ def test_bad_contacts_are_placed_where_they_are(ohm):
     t_s = np.arange(600) * 0.02
     bad = ((t_s >= 3.0) & (t_s < 3.4)) | ((t_s >= 9.0) & (t_s < 9.2))
     base = base_of(run_of(1, added_ohm=ohm * bad), run_of(2))
-    found = with_intervals(base, EFFECTS["intermittent_contact"])
-    first, second = (found.hypothesis.episodes_of(k)["intermittent_contact"] for k in (0, 1))
+    refitted = with_intervals(base, EFFECTS["intermittent_contact"])
+    first, second = (refitted.hypothesis.episodes_of(k)["intermittent_contact"] for k in (0, 1))
     np.testing.assert_allclose(first, [[3.0, 3.4], [9.0, 9.2]], atol=0.021)
     assert len(second) == 0
-    assert found.effect_values[0][0] == pytest.approx(ohm, rel=0.06)
+    assert refitted.effect_values[0][0] == pytest.approx(ohm, rel=0.06)
     smooth = base_of(run_of(1, added_ohm=0.3 * np.sin(t_s)), run_of(2))
     assert with_intervals(smooth, EFFECTS["intermittent_contact"]) is None
     whole = base_of(run_of(1), run_of(2))
@@ -188,8 +188,8 @@ def test_bad_contacts_are_placed_where_they_are(ohm):
 def test_a_contact_that_stays_bad_ends_with_the_run():
     t_s = np.arange(600) * 0.02
     base = base_of(run_of(1, added_ohm=0.8 * (t_s >= 11.0)), run_of(2))
-    found = with_intervals(base, EFFECTS["intermittent_contact"])
-    ((start, stop),) = found.hypothesis.episodes_of(0)["intermittent_contact"]
+    refitted = with_intervals(base, EFFECTS["intermittent_contact"])
+    ((start, stop),) = refitted.hypothesis.episodes_of(0)["intermittent_contact"]
     assert start == pytest.approx(11.0, abs=0.021) and stop == pytest.approx(600 * 0.02)
 
 
@@ -209,12 +209,12 @@ def test_a_line_is_found_at_the_alias_of_the_mains(rate_Hz, alias_Hz):
             )
         )
     base = base_of(*runs)
-    found = with_line(base, EFFECTS["mains_hum"])
-    amplitude, frequency_Hz, *phi = found.effect_values[0]
+    refitted = with_line(base, EFFECTS["mains_hum"])
+    amplitude, frequency_Hz, *phi = refitted.effect_values[0]
     assert amplitude == pytest.approx(0.004, rel=0.05)
     assert frequency_Hz == pytest.approx(alias_Hz + 0.1, abs=0.01)
     np.testing.assert_allclose(np.cos(np.array(phi) - phases), 1.0, atol=0.01)
-    assert found.chi2 < 1.2 * found.problem.count
+    assert refitted.chi2 < 1.2 * refitted.problem.count
     quiet = base_of(*(run_of(k, readout=readout) for k in (1, 2)))
     assert with_line(quiet, EFFECTS["mains_hum"]) is None
 
@@ -234,10 +234,10 @@ def test_a_level_is_found_where_the_output_is_clipped(side, level_V):
         e for e in (EFFECTS["adc_saturation"], *EFFECTS["adc_saturation"].sides) if e.signs.search_target == side
     )
     base = base_of(*(run_of(k, output=lambda t_s, v: clip(v, level_V)) for k in (1, 2)))
-    found = with_level(base, effect)
-    assert found.effect_values[0][0] == pytest.approx(level_V, abs=2e-3)
-    np.testing.assert_allclose(found.coordinates[:5], AT, atol=0.02)
-    assert found.chi2 < 1.2 * found.problem.count
+    refitted = with_level(base, effect)
+    assert refitted.effect_values[0][0] == pytest.approx(level_V, abs=2e-3)
+    np.testing.assert_allclose(refitted.coordinates[:5], AT, atol=0.02)
+    assert refitted.chi2 < 1.2 * refitted.problem.count
     whole = base_of(run_of(1), run_of(2))
     assert with_level(whole, effect) is None
 
@@ -265,7 +265,7 @@ EVERY = range(4)
 
 def test_sound_recordings_have_no_mistake():
     assert found_in(sound()) == []
-    assert doubts_of(Case("M", tuple(sound()))) == ()
+    assert find_suspects(Case("M", tuple(sound()))) == ()
 
 
 @pytest.mark.parametrize(
@@ -309,9 +309,9 @@ def test_single_samples_far_off_are_counted():
     assert one.evidence.values["count"] == 3 and one.evidence.values["worst"] > 899.0
     low, high = np.quantile(changed((1,), force_N=stray("force_N", 900.0))[1].force_N, (0.01, 0.99))
     assert (one.evidence.values["low"], one.evidence.values["high"]) == pytest.approx((low, high))
-    reach = CONFIG.far * (high - low)
-    for size, is_told in ((high + 1.02 * reach + 1.0, True), (0.7 * reach, False)):
-        assert bool(found_in(changed((1,), force_N=stray("force_N", size)))) is is_told
+    far_off = CONFIG.far * (high - low)
+    for size, is_found in ((high + 1.02 * far_off + 1.0, True), (0.7 * far_off, False)):
+        assert bool(found_in(changed((1,), force_N=stray("force_N", size)))) is is_found
     (one,) = TWIN.mistakes(Case("M", tuple(changed((1,), output_V=stray("output_V", 9.0)))))
     assert (one.what, one.channel, one.evidence.values["count"]) == ("out_of_range", "output", 3)
     assert one.evidence.values["worst"] > 9.0
@@ -345,7 +345,7 @@ def test_a_smooth_column_is_the_commanded_one():
     assert found_in(swapped) == [("swapped_columns", "stage+force", ())]
 
 
-def test_a_column_of_another_run_is_told():
+def test_a_column_of_another_run_is_reported():
     runs = [run_of(k + 1, 600) for k in range(3)]
     exchanged = [runs[0], replace(runs[1], output_V=runs[2].output_V), replace(runs[2], output_V=runs[1].output_V)]
     assert found_in(exchanged) == [("swapped_runs", "output", (2, 3))]
@@ -374,15 +374,15 @@ def test_a_small_factor_is_an_effect(factor):
 
 
 def test_an_unusual_pad_is_asked_about():
-    (one,) = doubts_of(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound())))
+    (one,) = find_suspects(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound())))
     assert (one.what, one.channel, one.factor) == ("unit_factor", "force", 1e-3)
-    (one,) = doubts_of(Case("M", tuple(replace(r, stage_mm=r.stage_mm * 1e3) for r in sound())))
+    (one,) = find_suspects(Case("M", tuple(replace(r, stage_mm=r.stage_mm * 1e3) for r in sound())))
     assert (one.channel, one.factor) == ("stage", 1e-3)
     assert (
-        doubts_of(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound()), stiffness_N_mm=(1.0, 2.0)))
+        find_suspects(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound()), stiffness_N_mm=(1.0, 2.0)))
         == ()
     )
-    assert doubts_of(Case("M", tuple(replace(r, force_N=r.force_N * 4.0) for r in sound()))) == ()
+    assert find_suspects(Case("M", tuple(replace(r, force_N=r.force_N * 4.0) for r in sound()))) == ()
 
 
 def test_units_are_those_of_the_world():
@@ -401,7 +401,7 @@ def test_units_are_those_of_the_world():
 # One run that stands apart.
 
 
-def odd_fit(**change):
+def fit_with_outlier(**change):
     runs = [run_of(k + 1, 500) for k in range(4)]
     runs[2] = replace(runs[2], **{name: f(runs[2]) for name, f in change.items()})
     return fit(Problem(TWIN, Case("O", tuple(runs)), SIGMA), Hypothesis(), AT)
@@ -418,18 +418,18 @@ def odd_fit(**change):
     ],
 )
 def test_one_run_with_a_gain_or_a_zero_of_its_own_is_a_mistake(change, what, channel, factor):
-    found = outlier_run(odd_fit(**change))
-    assert (found.what, found.channel, found.runs) == (what, channel, (3,))
-    assert found.factor == pytest.approx(factor, rel=0.05)
-    assert found.evidence.values["share"] == pytest.approx(1.0, abs=0.05)
+    mistake = outlier_run(fit_with_outlier(**change))
+    assert (mistake.what, mistake.channel, mistake.runs) == (what, channel, (3,))
+    assert mistake.factor == pytest.approx(factor, rel=0.05)
+    assert mistake.evidence.values["share"] == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_run_of_another_unit_is_told():
+def test_a_run_of_another_unit_is_reported():
     other = replace(PAD, k1_N_mm=1.6, k3_N_mm3=0.16, r0_ohm=4.6, kappa_per_N=0.05)
-    pressed = run_of(3, 500, pad=other)
-    found = outlier_run(odd_fit(force_N=lambda r: pressed.force_N, output_V=lambda r: pressed.output_V))
-    assert (found.what, found.runs) == ("other_unit", (3,))
-    values = found.evidence.values
+    other_run = run_of(3, 500, pad=other)
+    mistake = outlier_run(fit_with_outlier(force_N=lambda r: other_run.force_N, output_V=lambda r: other_run.output_V))
+    assert (mistake.what, mistake.runs) == ("other_unit", (3,))
+    values = mistake.evidence.values
     assert values["stiffness"] == pytest.approx(0.5, abs=0.1)
     assert values["resistance"] == pytest.approx(0.15, abs=0.03)
 
@@ -437,7 +437,7 @@ def test_a_run_of_another_unit_is_told():
 def test_without_a_run_that_stands_apart_there_is_no_mistake():
     runs = [run_of(k + 1, 500) for k in range(4)]
     clean = fit(Problem(TWIN, Case("O", tuple(runs)), SIGMA), Hypothesis(), AT)
-    assert outlier_run(clean) is None and nearest(clean, METHOD.outlier.promised) == []
+    assert outlier_run(clean) is None and nearest(clean, METHOD.outlier.min_predicted_share) == []
     two = fit(
         Problem(TWIN, Case("O", (runs[0], replace(runs[1], force_N=1.3 * runs[1].force_N))), SIGMA), Hypothesis(), AT
     )

@@ -60,28 +60,28 @@ T_s = np.cumsum(np.random.default_rng(1).uniform(0.02, 0.08, 80))
 
 
 @pytest.mark.parametrize("delay_s", [0.05, -0.12, 0.0])
-@pytest.mark.parametrize("straight", [0.0, 1.0, 0.3])
-def test_a_late_channel_is_read_at_earlier_instants(delay_s, straight):
+@pytest.mark.parametrize("linear_share", [0.0, 1.0, 0.3])
+def test_a_late_channel_is_read_at_earlier_instants(delay_s, linear_share):
     values = np.sin(2.0 * T_s)
-    late, rate, bent = shifted(values, T_s, delay_s, straight)
+    late, rate, bent = shifted(values, T_s, delay_s, linear_share)
     at_s = np.clip(T_s - delay_s, T_s[0], T_s[-1])
     line, curve = np.interp(at_s, T_s, values), CubicSpline(T_s, values)
-    np.testing.assert_allclose(late, straight * line + (1.0 - straight) * curve(at_s), atol=1e-12)
+    np.testing.assert_allclose(late, linear_share * line + (1.0 - linear_share) * curve(at_s), atol=1e-12)
     np.testing.assert_allclose(bent, line - curve(at_s), atol=1e-12)
     eps = 1e-7
-    moved = shifted(values, T_s, delay_s - eps, straight)[0]
+    moved = shifted(values, T_s, delay_s - eps, linear_share)[0]
     inside = (T_s - delay_s > T_s[0] + 1e-6) & (T_s - delay_s + eps < T_s[-1])
     np.testing.assert_allclose(rate[inside], ((moved - late) / eps)[inside], atol=1e-5)
     assert np.all(rate[T_s - delay_s <= T_s[0]] == 0.0)
 
 
-OWN = {"zero": 2.0, "gain": 0.3, "drift": 0.1, "delay": 0.2}
+LARGEST_OFFSETS = {"zero": 2.0, "gain": 0.3, "drift": 0.1, "delay": 0.2}
 
 
-def smooth_runs(own=({}, {}), noise=0.0, count=80):
+def smooth_runs(offsets=({}, {}), noise=0.0, count=80):
     """Runs of the line along a smooth input, each with offsets of its own."""
     rng, out = np.random.default_rng(3), []
-    for k, mine in enumerate(own):
+    for k, mine in enumerate(offsets):
         t_s = np.arange(count) * 0.05 + 7.0 * k
         x = np.sin((1.3 + 0.4 * k) * (t_s - t_s[0]))
         late_s = t_s - t_s[0] - mine.get("delay", 0.0)
@@ -91,8 +91,8 @@ def smooth_runs(own=({}, {}), noise=0.0, count=80):
     return out
 
 
-def own_of(*kinds):
-    return replace(LINE, per_run={"y": {kind: OWN[kind] for kind in kinds}})
+def simulator_with_offsets(*kinds):
+    return replace(LINE, per_run={"y": {kind: LARGEST_OFFSETS[kind] for kind in kinds}})
 
 
 EXACT = np.array([1.0, 2.0])
@@ -111,44 +111,44 @@ BASE = Hypothesis(of_all=LINE.base)
 )
 def test_the_offsets_of_each_run_are_read_off_it(kind, sizes, expected):
     runs = smooth_runs([{kind: s} for s in sizes])
-    problem = problem_of(runs, 0.01, own_of(kind))
-    found = problem.offset_sizes(BASE, EXACT)
-    np.testing.assert_allclose([found[k][0] for k in range(len(sizes))], expected, atol=1e-3)
+    problem = problem_of(runs, 0.01, simulator_with_offsets(kind))
+    offsets = problem.offset_sizes(BASE, EXACT)
+    np.testing.assert_allclose([offsets[k][0] for k in range(len(sizes))], expected, atol=1e-3)
     if kind != "gain":
         np.testing.assert_allclose(problem.predict(BASE, EXACT), measured(runs), atol=2e-3)
 
 
 def test_offsets_stay_within_their_largest():
     runs = smooth_runs([{"zero": 5.0}, {"zero": -9.0}])
-    problem = problem_of(runs, 0.01, own_of("zero"))
-    found = problem.offset_sizes(BASE, EXACT)
-    assert (found[0][0], found[1][0]) == (2.0, -2.0)
+    problem = problem_of(runs, 0.01, simulator_with_offsets("zero"))
+    offsets = problem.offset_sizes(BASE, EXACT)
+    assert (offsets[0][0], offsets[1][0]) == (2.0, -2.0)
     predicted = problem.predict(BASE, EXACT)
     np.testing.assert_allclose(measured(runs) - predicted, np.repeat([3.0, -7.0], 80), atol=1e-4)
 
 
 def test_a_zero_and_a_drift_together_are_a_line_through_what_is_left():
     runs = smooth_runs([{"zero": 0.3, "drift": 0.02}, {"zero": -0.1, "drift": -0.05}], noise=0.05)
-    problem = problem_of(runs, 0.05, own_of("zero", "drift"))
-    found = problem.offset_sizes(BASE, EXACT)
+    problem = problem_of(runs, 0.05, simulator_with_offsets("zero", "drift"))
+    offsets = problem.offset_sizes(BASE, EXACT)
     for k, run in enumerate(runs):
         t_s = run.t_s - run.t_s[0]
-        left = run.columns["y"] - 1.0 - 2.0 * run.columns["x"]
-        slope, zero = np.polyfit(t_s, left, 1)
-        np.testing.assert_allclose(found[k], [zero, slope], rtol=1e-3, atol=1e-4)
+        residual = run.columns["y"] - 1.0 - 2.0 * run.columns["x"]
+        slope, zero = np.polyfit(t_s, residual, 1)
+        np.testing.assert_allclose(offsets[k], [zero, slope], rtol=1e-3, atol=1e-4)
 
 
 def test_a_prediction_near_by_takes_the_offsets_along():
     runs = smooth_runs([{"zero": 0.5, "gain": 0.05}, {"delay": 0.05}])
-    problem = problem_of(runs, 0.01, own_of("zero", "gain", "delay"))
+    problem = problem_of(runs, 0.01, simulator_with_offsets("zero", "gain", "delay"))
     _, around = problem.predict_around(BASE, EXACT)
     for near in (EXACT, EXACT + [1e-3, 0.0], EXACT + [0.0, -1e-3]):
         np.testing.assert_allclose(around(BASE, near), problem.predict(BASE, near), atol=2e-4)
 
 
-def test_offsets_are_put_into_a_prediction_as_they_are_said():
+def test_offsets_are_put_into_a_prediction_as_they_are_declared():
     runs = smooth_runs()
-    problem = problem_of(runs, 0.01, own_of("zero", "gain", "drift", "delay"))
+    problem = problem_of(runs, 0.01, simulator_with_offsets("zero", "gain", "drift", "delay"))
     assert problem.model.simulator.offsets == (
         ("y", "zero"),
         ("y", "gain"),
@@ -214,8 +214,8 @@ def test_answers_are_kept_and_failures_counted():
 
 
 def term(kind, signal="x", **more):
-    given = {"coefficient": 0.5, "middle": 0.2, "half": 1.6, "per_s": 0.7, "tau_s": 0.3, "span": 4.0} | more
-    return SimulatorTerm("y_mm", kind, signal, **given)
+    parameters = {"coefficient": 0.5, "middle": 0.2, "half": 1.6, "per_s": 0.7, "tau_s": 0.3, "span": 4.0} | more
+    return SimulatorTerm("y_mm", kind, signal, **parameters)
 
 
 def test_what_a_term_follows_is_its_equation():
@@ -262,8 +262,8 @@ def test_a_term_says_what_it_is():
 
 def test_terms_that_may_be_tried_are_scaled_by_what_was_recorded():
     runs = smooth_runs()
-    found = fitted(problem_of(runs))
-    every = list(terms_of(LINE, found))
+    fit = fitted(problem_of(runs))
+    every = list(terms_of(LINE, fit))
     x = np.concatenate([r.columns["x"] for r in runs])
     of_x = [t for t in every if t.signal == "x"]
     rate = np.concatenate([np.abs(np.gradient(r.columns["x"], r.t_s)) for r in runs])
@@ -308,7 +308,7 @@ def test_a_hypothesis_with_terms_predicts_them():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "message"),
     [
         ({"channels": ()}, "no channel"),
         ({"channels": ("y", "y")}, "two of the channels"),
@@ -327,8 +327,8 @@ def test_a_hypothesis_with_terms_predicts_them():
         ({"per_run": {"y": {"zero": np.inf}}}, "zero of y is inf"),
     ],
 )
-def test_a_simulator_that_contradicts_itself_is_refused(wrong, says):
-    with pytest.raises(InputError, match=says):
+def test_a_simulator_that_contradicts_itself_is_refused(wrong, message):
+    with pytest.raises(InputError, match=message):
         replace(LINE, **wrong)
 
 
@@ -343,12 +343,12 @@ def test_names_and_neutral_values_are_those_of_every_parameter():
     simulator = replace(LINE, candidates=(BEND, two))
     assert simulator.parameter_names == ["level", "slope", "bend.size", "wear.size", "wear.tau"]
     assert simulator.neutral_values == {"bend.size": 0.0, "wear.size": 0.0, "wear.tau": 3.0}
-    named = simulator.parameter_values(Hypothesis((two,), of_all=LINE.base), np.array([1.0, 2.0, 0.3, 4.0]))
-    assert named == {"level": 1.0, "slope": 2.0, "bend.size": 0.0, "wear.size": 0.3, "wear.tau": 4.0}
+    values = simulator.parameter_values(Hypothesis((two,), of_all=LINE.base), np.array([1.0, 2.0, 0.3, 4.0]))
+    assert values == {"level": 1.0, "slope": 2.0, "bend.size": 0.0, "wear.size": 0.3, "wear.tau": 4.0}
 
 
 @pytest.mark.parametrize(
-    ("gives", "says"),
+    ("gives", "message"),
     [
         ({"z": np.ones(80)}, "gives no y; it gives z"),
         ({}, "gives no y; it gives nothing"),
@@ -358,9 +358,9 @@ def test_names_and_neutral_values_are_those_of_every_parameter():
         ({"y": np.where(np.arange(80) == 7, np.nan, 1.0)}, "nan at sample 7"),
     ],
 )
-def test_an_answer_that_is_no_channel_is_told(gives, says):
+def test_an_answer_that_is_no_channel_is_reported(gives, message):
     simulator = replace(LINE, run=lambda inputs, p: gives)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         simulator(smooth_runs()[0].columns, {"level": 1.0})
 
 
@@ -457,12 +457,12 @@ def test_a_parameter_at_its_upper_bound_is_moved_down():
         assert p["level"] <= 1.0
         return LINE.run(inputs, p)
 
-    seen = []
-    check_calls(replace(at_top, run=lambda i, p: seen.append(p["level"]) or walled(i, p)), smooth_runs())
-    assert min(seen) < 1.0 == max(seen)
-    seen.clear()
-    check_calls(replace(LINE, run=lambda i, p: seen.append(p["level"]) or LINE.run(i, p)), smooth_runs())
-    assert max(seen) > 1.0 == min(seen)
+    calls = []
+    check_calls(replace(at_top, run=lambda i, p: calls.append(p["level"]) or walled(i, p)), smooth_runs())
+    assert min(calls) < 1.0 == max(calls)
+    calls.clear()
+    check_calls(replace(LINE, run=lambda i, p: calls.append(p["level"]) or LINE.run(i, p)), smooth_runs())
+    assert max(calls) > 1.0 == min(calls)
 
 
 # Units, signs, dead channels.
@@ -490,8 +490,8 @@ def test_runs_are_numbered_by_their_names_or_their_places():
     runs = runs_of({})
     assert numbers(Case("A", tuple(replace(r, name=n) for r, n in zip(runs, ("7", "3"), strict=True)))) == [7, 3]
     assert numbers(Case("A", tuple(replace(r, name=n) for r, n in zip(runs, ("a", "3"), strict=True)))) == [1, 2]
-    said = Reason("data.repair.dead")
-    whole = DataMistake("sign", "force", (), -1.0, said, said)
+    reason = Reason("data.repair.dead")
+    whole = DataMistake("sign", "force", (), -1.0, reason, reason)
     assert whole.record()["runs"] == "all" and replace(whole, runs=(2,)).record()["runs"] == [2]
 
 
@@ -561,22 +561,22 @@ def test_one_run_in_another_unit_or_sign_is_found(spoil, what, channel, factor):
     scaled = replace(LINE, candidates=(RIPPLE,), run=lambda i, p: LINE.run(i, p | {"bend.size": 0.0, "kink.size": 0.0}))
     case = Case("A", three_runs(spoil).runs)
     model = SimulatorModel(scaled)
-    found = against_others(model, model.base_fit(case))
-    assert (found.mistake.what, found.mistake.channel, found.mistake.runs) == (what, channel, (2,))
-    assert found.mistake.factor == pytest.approx(factor, rel=0.05)
-    assert found.is_claim
+    mistakes = against_others(model, model.base_fit(case))
+    assert (mistakes.mistake.what, mistakes.mistake.channel, mistakes.mistake.runs) == (what, channel, (2,))
+    assert mistakes.mistake.factor == pytest.approx(factor, rel=0.05)
+    assert mistakes.is_claim
     assert against_others(model, model.base_fit(three_runs(lambda c: c))) is None
 
 
 def test_a_claim_is_a_repair_that_nothing_else_reaches():
     one = of_sign("y", (1,), Reason("data.sign"))
     share = CONFIG.repaired
-    for left, unrepaired, by_causes, is_enough, is_alone in (
+    for share_left, unrepaired, by_causes, is_enough, is_alone in (
         (share * 0.5, 0.5, 0.4, True, True),
         (share * 0.5 + 1e-9, 0.5, 0.4, False, True),
         (share * 0.5, 0.5, share * 0.5, True, False),
     ):
-        test = MistakeTest(one, left, unrepaired, by_causes, CONFIG.repaired)
+        test = MistakeTest(one, share_left, unrepaired, by_causes, CONFIG.repaired)
         assert (test.is_enough, test.is_alone, test.is_claim) == (is_enough, is_alone, is_enough and is_alone)
 
 
@@ -604,21 +604,21 @@ MIXED = (
 
 
 def test_scattered_starts_lie_within_bounds_the_usual_first():
-    places = scattered(MIXED, 200)
-    assert places.shape == (200, 5)
+    starts = scattered(MIXED, 200)
+    assert starts.shape == (200, 5)
     for k, p in enumerate(MIXED):
         low, high = sorted((to_fit(p, p.low), to_fit(p, p.high)))
-        assert places[0, k] == to_fit(p, p.usual)
-        assert np.all((places[:, k] >= low) & (places[:, k] <= high))
+        assert starts[0, k] == to_fit(p, p.usual)
+        assert np.all((starts[:, k] >= low) & (starts[:, k] <= high))
     # Half near the usual value, half far: both signs where both are allowed, orders of magnitude away.
-    assert 0.3 < np.mean(np.abs(places[:, 0] - 0.5) < 0.5) < 0.9
-    assert places[:, 0].min() < -1.5 and places[:, 0].max() > 2.5
-    assert places[:, 1].min() < -3.0 and places[:, 1].max() > 3.0
-    assert np.all(np.abs(places[:, 1]) <= 4.2)
-    assert places[:, 2].min() < -10.0 and places[:, 2].max() > 10.0 and np.abs(places[:, 2]).max() < 32.0
-    assert 0.25 < np.mean(np.abs(places[:, 2] - 1.0) > 2.0) < 0.6 or np.abs(places[:, 2]).min() < 0.1
-    assert places[:, 4].min() >= 1.0 and places[:, 4].max() > 30.0
-    np.testing.assert_array_equal(scattered(MIXED, 200), places)
+    assert 0.3 < np.mean(np.abs(starts[:, 0] - 0.5) < 0.5) < 0.9
+    assert starts[:, 0].min() < -1.5 and starts[:, 0].max() > 2.5
+    assert starts[:, 1].min() < -3.0 and starts[:, 1].max() > 3.0
+    assert np.all(np.abs(starts[:, 1]) <= 4.2)
+    assert starts[:, 2].min() < -10.0 and starts[:, 2].max() > 10.0 and np.abs(starts[:, 2]).max() < 32.0
+    assert 0.25 < np.mean(np.abs(starts[:, 2] - 1.0) > 2.0) < 0.6 or np.abs(starts[:, 2]).min() < 0.1
+    assert starts[:, 4].min() >= 1.0 and starts[:, 4].max() > 30.0
+    np.testing.assert_array_equal(scattered(MIXED, 200), starts)
 
 
 def test_the_likeliest_places_leave_least_and_failures_come_last():
@@ -628,8 +628,8 @@ def test_the_likeliest_places_leave_least_and_failures_come_last():
         return LINE.run(inputs, p) if p["level"] > -1.0 else {"y": np.full(len(inputs["x"]), np.nan)}
 
     problem = problem_of(runs, simulator=replace(LINE, run=walled))
-    places = [np.array(p) for p in ([-2.0, 2.0], [5.0, 2.0], [1.0, 2.0], [1.3, 2.0])]
-    ranked = likeliest(problem, BASE, places)
+    starts = [np.array(p) for p in ([-2.0, 2.0], [5.0, 2.0], [1.0, 2.0], [1.3, 2.0])]
+    ranked = likeliest(problem, BASE, starts)
     assert [list(p) for p in ranked] == [[1.0, 2.0], [1.3, 2.0], [5.0, 2.0], [-2.0, 2.0]]
 
 
@@ -646,17 +646,17 @@ def test_a_fit_from_many_starts_finds_the_least_of_several_minima():
     )
     problem = Problem(SimulatorModel(simulator), Case("W", (run,)), {"y": 0.05})
     hypothesis = Hypothesis(of_all=simulator.base)
-    found = best_start(problem, hypothesis)
+    best_fit = best_start(problem, hypothesis)
     exact = minimize(lambda p: np.sum((run.columns["y"] - np.sin(p[0] * x)) ** 2), [5.0])
-    assert np.exp(found.coordinates[0]) == pytest.approx(exact.x[0], rel=1e-3)
-    assert fit(problem, hypothesis, np.array([0.0])).chi2 > 2.0 * found.chi2
+    assert np.exp(best_fit.coordinates[0]) == pytest.approx(exact.x[0], rel=1e-3)
+    assert fit(problem, hypothesis, np.array([0.0])).chi2 > 2.0 * best_fit.chi2
 
 
 def test_the_base_is_fitted_with_the_noise_of_its_own_residual():
     runs = runs_of({}, (600, 700), noise=0.3)
-    found = SimulatorModel(LINE).base_fit(Case("A", tuple(runs)))
-    np.testing.assert_allclose(found.coordinates, solved(design(runs), measured(runs)), atol=1e-4)
-    assert found.problem.sigma["y"] == pytest.approx(0.3, rel=0.1)
+    fit = SimulatorModel(LINE).base_fit(Case("A", tuple(runs)))
+    np.testing.assert_allclose(fit.coordinates, solved(design(runs), measured(runs)), atol=1e-4)
+    assert fit.problem.sigma["y"] == pytest.approx(0.3, rel=0.1)
     rough = SimulatorModel(LINE).rough_problem(Case("A", tuple(runs)))
     assert rough.sigma["y"] == pytest.approx(0.02 * np.std(measured(runs)))
     with pytest.raises(InputError, match="fails at all"):
@@ -664,18 +664,18 @@ def test_the_base_is_fitted_with_the_noise_of_its_own_residual():
 
 
 def test_halves_of_a_channel_are_those_above_its_median_and_rate():
-    found = fitted(problem_of(smooth_runs()))
-    for block in found.problem.blocks:
-        is_high, is_quick = found.problem.model.halves(found, block)
-        level = found.predicted[block.rows]
+    fit = fitted(problem_of(smooth_runs()))
+    for block in fit.problem.blocks:
+        is_high, is_quick = fit.problem.model.halves(fit, block)
+        level = fit.predicted[block.rows]
         np.testing.assert_array_equal(is_high, level > np.median(level))
-        rate = np.abs(np.gradient(level, found.problem.case.runs[block.run].t_s))
+        rate = np.abs(np.gradient(level, fit.problem.case.runs[block.run].t_s))
         np.testing.assert_array_equal(is_quick, rate > np.median(rate))
 
 
 def test_what_a_residual_may_follow_lies_within_1():
-    found = fitted(problem_of(smooth_runs()))
-    groups = found.problem.model.followed(found, "y")
+    fit = fitted(problem_of(smooth_runs()))
+    groups = fit.problem.model.followed(fit, "y")
     # Level, way, rate, memory and time, of the input and of the channel.
     assert len(groups) == 10
     level_of_x = np.array(groups[0])

@@ -10,9 +10,9 @@ from softcal.app.gap.diagnose import apply_report
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import check_case
+from softcal.core.gap.fault_location import explained_twin
 from softcal.core.gap.fit import log_evidences
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.places import explained_twin
 from softcal.core.gap.search import Search
 from softcal.core.gap.twin import TWIN, diagnose
 from softcal.core.twin.catalogue import EFFECTS
@@ -58,19 +58,19 @@ CAUSES = {
 
 @pytest.mark.parametrize("name", CAUSES)
 def test_a_cause_alone_is_named_with_its_size(name):
-    found = diagnose(case_of(EffectSetting(name, CAUSES[name])))
-    assert found.best.ids == (name,)
-    assert found.verdict in ("explained", "ambiguous")
-    first = found.causes[0]
+    diagnosis = diagnose(case_of(EffectSetting(name, CAUSES[name])))
+    assert diagnosis.best.ids == (name,)
+    assert diagnosis.verdict in ("explained", "ambiguous")
+    first = diagnosis.causes[0]
     assert first.effect == name and first.probability > 0.5 and first.stage == EFFECTS[name].stage
     size = EFFECTS[name].parameters[0].name
     estimate = first.parameters[size]
     sigma = (estimate.high - estimate.low) / (2 * 1.645)
     assert abs(estimate.value - CAUSES[name][size]) < 5 * sigma + 0.02 * abs(CAUSES[name][size])
-    assert found.explained_share > 0.8 and found.explained_fraction.held_out > 0.7
-    assert abs(found.explained_fraction.predicted - found.explained_fraction.held_out) < 0.2
-    assert found.locations[0].stage == EFFECTS[name].stage
-    assert 0.0 <= found.hidden_fraction[name] <= 1.0
+    assert diagnosis.explained_share > 0.8 and diagnosis.explained_fraction.held_out > 0.7
+    assert abs(diagnosis.explained_fraction.predicted - diagnosis.explained_fraction.held_out) < 0.2
+    assert diagnosis.locations[0].stage == EFFECTS[name].stage
+    assert 0.0 <= diagnosis.hidden_fraction[name] <= 1.0
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +83,9 @@ def test_two_causes_share_what_they_take(drifting):
     assert drifting.best.ids == ("loadcell_drift", "readout_lag")
     shares = {c.effect: c.shrink for c in drifting.causes}
     assert shares["loadcell_drift"] + shares["readout_lag"] == pytest.approx(drifting.explained_fraction.held_out)
-    places = drifting.locations[:2]
-    assert {p.stage for p in places} == {"load_cell", "electronics"}
-    assert sum(p.share for p in places) == pytest.approx(1.0)
+    locations = drifting.locations[:2]
+    assert {p.stage for p in locations} == {"load_cell", "electronics"}
+    assert sum(p.share for p in locations) == pytest.approx(1.0)
 
 
 def test_a_report_can_be_written_and_its_twin_run(drifting):
@@ -113,7 +113,7 @@ def test_a_report_can_be_written_and_its_twin_run(drifting):
     np.testing.assert_allclose(TWIN.load_of(drifting.best)[block.rows], base.k1_N_mm * depth + base.k3_N_mm3 * depth**3)
 
 
-def test_a_base_parameter_on_its_bound_is_told(drifting):
+def test_a_base_parameter_on_its_bound_is_reported(drifting):
     assert drifting.on_bound == {}
     best = drifting.best
     coordinates = best.coordinates.copy()
@@ -126,13 +126,13 @@ def test_a_base_parameter_on_its_bound_is_told(drifting):
 
 
 def test_sound_recordings_have_no_gap():
-    found = diagnose(case_of())
-    assert (found.verdict, found.best.ids, found.locations) == ("no_gap", (), ())
-    assert all(c.probability < 0.2 for c in found.causes)
-    assert found.next_experiment.profile == "long_hold"
-    assert found.residual is None and found.partial is None
-    mistakes, told = check_case(case_of(), TWIN)
-    assert mistakes == () and told is not None and told["k1_N_mm"].is_identifiable
+    diagnosis = diagnose(case_of())
+    assert (diagnosis.verdict, diagnosis.best.ids, diagnosis.locations) == ("no_gap", (), ())
+    assert all(c.probability < 0.2 for c in diagnosis.causes)
+    assert diagnosis.next_experiment.profile == "long_hold"
+    assert diagnosis.residual is None and diagnosis.partial is None
+    mistakes, identifiability = check_case(case_of(), TWIN)
+    assert mistakes == () and identifiability is not None and identifiability["k1_N_mm"].is_identifiable
 
 
 def wavy(run):
@@ -141,38 +141,38 @@ def wavy(run):
 
 def test_what_no_cause_explains_is_unknown_and_described():
     case = case_of()
-    found = diagnose(Case("D1", tuple(wavy(r) for r in case.runs)))
-    assert found.verdict == "unknown"
-    assert all(c.probability <= METHOD.verdict.unknown_trust for c in found.causes)
-    assert found.locations[0].stage in ("electronics", "transduction")
-    assert found.next_experiment.profile != "none"
-    assert explained_twin(found.best).effects == ()
-    assert found.partial is None or 0.0 < found.partial.share < 1.0
+    diagnosis = diagnose(Case("D1", tuple(wavy(r) for r in case.runs)))
+    assert diagnosis.verdict == "unknown"
+    assert all(c.probability <= METHOD.verdict.unknown_trust for c in diagnosis.causes)
+    assert diagnosis.locations[0].stage in ("electronics", "transduction")
+    assert diagnosis.next_experiment.profile != "none"
+    assert explained_twin(diagnosis.best).effects == ()
+    assert diagnosis.partial is None or 0.0 < diagnosis.partial.share < 1.0
 
 
 def test_a_mistake_stops_the_diagnosis(tmp_path):
     case = case_of()
     runs = (case.runs[0], replace(case.runs[1], force_N=-case.runs[1].force_N), case.runs[2])
-    found = diagnose(Case("D1", runs))
-    assert found.verdict == "data" and found.mistakes[0].runs == (2,)
+    diagnosis = diagnose(Case("D1", runs))
+    assert diagnosis.verdict == "data" and diagnosis.mistakes[0].runs == (2,)
     with pytest.raises(InputError, match="mistake"):
-        apply_report(tmp_path / "twin.json", found.report(), "D1", provenance=None)
+        apply_report(tmp_path / "twin.json", diagnosis.report(), "D1", provenance=None)
     assert not (tmp_path / "twin.json").exists()
-    assert found.report()["twin"] is None and found.report()["base_twin"] is None
-    mistakes, told = check_case(Case("D1", runs), TWIN)
-    assert mistakes == found.mistakes and told is None
+    assert diagnosis.report()["twin"] is None and diagnosis.report()["base_twin"] is None
+    mistakes, identifiability = check_case(Case("D1", runs), TWIN)
+    assert mistakes == diagnosis.mistakes and identifiability is None
     apart = tuple(replace(r, force_N=1.3 * r.force_N) if r.name == "3" else r for r in case_of(runs=4).runs)
     assert diagnose(Case("D1", apart)).mistakes[0].what == "gain"
 
 
 def test_events_of_one_run_are_placed():
-    lost = EffectSetting("dropped_samples", {}, ((2.4, 6.0),))
-    found = diagnose(case_of(lost))
-    assert found.best.ids == ("dropped_samples",)
+    lost_samples = EffectSetting("dropped_samples", {}, ((2.4, 6.0),))
+    diagnosis = diagnose(case_of(lost_samples))
+    assert diagnosis.best.ids == ("dropped_samples",)
     bad = EffectSetting("intermittent_contact", {"dR": 0.8}, ((1.0, 1.4), (3.0, 3.3)))
-    found = diagnose(case_of(bad))
-    assert found.best.ids == ("intermittent_contact",)
-    assert explained_twin(found.best).effects == ()
+    diagnosis = diagnose(case_of(bad))
+    assert diagnosis.best.ids == ("intermittent_contact",)
+    assert explained_twin(diagnosis.best).effects == ()
     clipped = diagnose(case_of(EffectSetting("adc_saturation", {"V_max": 1.12})))
     assert clipped.best.ids == ("adc_saturation",)
 
@@ -191,10 +191,10 @@ def test_every_hypothesis_is_scored_under_one_noise(searched):
     problems = {id(f.problem) for f in searched.fits.values()}
     sigmas = {tuple(sorted(f.problem.sigma.items())) for f in searched.fits.values()}
     assert len(sigmas) == 1 and problems
-    for ids, found in searched.fits.items():
-        assert found.ids == ids and np.isfinite(found.chi2)
-        residual = found.problem.whitened(found.problem.measured - found.predicted)
-        assert found.chi2 == pytest.approx(residual @ residual)
+    for ids, fit in searched.fits.items():
+        assert fit.ids == ids and np.isfinite(fit.chi2)
+        residual = fit.problem.whitened(fit.problem.measured - fit.predicted)
+        assert fit.chi2 == pytest.approx(residual @ residual)
 
 
 def test_the_best_is_the_likeliest_and_a_larger_set_leaves_no_more(searched):
@@ -202,12 +202,12 @@ def test_the_best_is_the_likeliest_and_a_larger_set_leaves_no_more(searched):
     assert searched.best is searched.fits[max(logs, key=lambda ids: logs[ids])]
     assert "stress_relaxation" in searched.best.ids
     base = searched.fits[()]
-    for ids, found in searched.fits.items():
-        assert found.chi2 <= 1.02 * base.chi2, ids
-    assert len(max(searched.fits, key=len)) <= len(METHOD.search.leads) + 1
+    for ids, fit in searched.fits.items():
+        assert fit.chi2 <= 1.02 * base.chi2, ids
+    assert len(max(searched.fits, key=len)) <= len(METHOD.search.candidates) + 1
 
 
-def test_causes_that_the_others_imitate_are_held_open(searched, monkeypatch):
+def test_causes_that_the_others_imitate_are_not_excluded(searched, monkeypatch):
     from softcal.core.gap import search as module
 
     both = next(f for ids, f in searched.fits.items() if len(ids) == 2 and "stress_relaxation" in ids)
@@ -215,13 +215,13 @@ def test_causes_that_the_others_imitate_are_held_open(searched, monkeypatch):
     best, searched.best = searched.best, both
     monkeypatch.setattr(searched, "is_explained", lambda found: True)
     monkeypatch.setattr(module, "causes_with_surrogate", lambda best, smaller: [other] if other in smaller else [])
-    searched.keep_not_excluded()
+    searched.store_not_excluded()
     assert searched.best.ids == ("stress_relaxation",)
     assert searched.not_excluded == {other: searched.fits[both.ids]}
     searched.best, searched.not_excluded = best, {}
     monkeypatch.setattr(searched, "is_explained", lambda found: False)
     monkeypatch.setattr(module, "causes_with_surrogate", lambda best, smaller: list(smaller))
     searched.best = both
-    searched.keep_not_excluded()
+    searched.store_not_excluded()
     assert searched.best is both and searched.not_excluded == {}
     searched.best = best

@@ -13,13 +13,13 @@ from softcal.core.gap.experiments import (
     explain_unidentifiable,
     identifiability,
 )
+from softcal.core.gap.fault_location import loose_noise
 from softcal.core.gap.fit import Candidate, fit, structure
 from softcal.core.gap.hypothesis import Hypothesis, Probe
 from softcal.core.gap.linear import NoiseCorrelation
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.mistakes import outlier_run_with_causes
 from softcal.core.gap.model import Nearby, Problem
-from softcal.core.gap.places import loose_noise
 from softcal.core.gap.residual import noise_chance
 from softcal.core.gap.search import fit_jointly, screen
 from softcal.core.gap.simulator import candidate
@@ -42,9 +42,9 @@ from tests.core.linear_mechanism import (
     size,
     solved,
 )
-from tests.core.test_gap_exact_twin import AT, CASE, PROBLEM, case_of, run_of, spoilt_fit
+from tests.core.test_gap_exact_twin import AT, CASE, PROBLEM, case_of, fit_with_change, run_of
 
-TELL, OUTLIER, PLACE = METHOD.telling, METHOD.outlier, METHOD.place
+IDENTIFIABILITY, OUTLIER, FAULT_LOCATION = METHOD.telling, METHOD.outlier, METHOD.fault_location
 RUNS = runs_of({"bend.size": 0.3, "ripple.size": 0.2}, (60, 71, 48))
 Y, N = measured(RUNS), 179
 
@@ -58,11 +58,11 @@ def test_a_joined_fit_begins_anew_where_it_brings_too_little(monkeypatch):
 
     def noted(problem, hypothesis, start, steps=20):
         starts.append((tuple(np.round(start, 9)), steps))
-        found = fit(problem, hypothesis, start, steps)
-        return replace(found, chi2=base.chi2 - gains[len(starts) - 1])
+        result = fit(problem, hypothesis, start, steps)
+        return replace(result, chi2=base.chi2 - gains[len(starts) - 1])
 
     monkeypatch.setattr("softcal.core.gap.search.fit", noted)
-    lead = Candidate(BEND, (0.4,), 100.0, 0.0, np.array([0.1, -0.2]))
+    lead_candidate = Candidate(BEND, (0.4,), 100.0, 0.0, np.array([0.1, -0.2]))
     for drops, calls, best in (
         ([10.1], 1, 10.1),
         ([9.9, 10.1], 2, 10.1),
@@ -71,24 +71,24 @@ def test_a_joined_fit_begins_anew_where_it_brings_too_little(monkeypatch):
     ):
         gains[:] = drops
         starts.clear()
-        assert fit_jointly(base, lead).chi2 == pytest.approx(base.chi2 - best)
+        assert fit_jointly(base, lead_candidate).chi2 == pytest.approx(base.chi2 - best)
         assert len(starts) == calls
         shares = (1.0, 0.1, 0.003)[:calls]
         for (start, steps), share in zip(starts, shares, strict=True):
-            expected = [*(base.coordinates + share * lead.shift), 0.4 * share]
+            expected = [*(base.coordinates + share * lead_candidate.shift), 0.4 * share]
             np.testing.assert_allclose(start, expected, atol=1e-8)
             assert steps == (20 if share == 1.0 else 40)
 
 
 def test_a_level_begins_farther_away_at_a_small_share():
     level = candidate("stop", "wall", Parameter("at", "mm", 1.0, 1e4, 50.0, neutral=np.inf, scale="inverse_square"))
-    lead = Candidate(level, (10.0,), 1.0, 0.0, np.zeros(2))
+    lead_candidate = Candidate(level, (10.0,), 1.0, 0.0, np.zeros(2))
     base = fitted(problem_of(RUNS))
-    assert lead.start(base)[2] == pytest.approx(1.0 / 10.0**2)
-    assert lead.start(base, 0.1)[2] == pytest.approx(1.0 / 100.0**2)
+    assert lead_candidate.start(base)[2] == pytest.approx(1.0 / 10.0**2)
+    assert lead_candidate.start(base, 0.1)[2] == pytest.approx(1.0 / 100.0**2)
 
 
-def test_a_lead_of_a_level_moves_by_the_root_of_its_promise():
+def test_a_candidate_of_a_level_moves_by_the_root_of_its_predicted_gain():
     def walled(inputs, p):
         return {"y": LINE.run(inputs, p)["y"] + 30.0 / p["stop.at"] ** 2 * inputs["x"] ** 2}
 
@@ -96,19 +96,19 @@ def test_a_lead_of_a_level_moves_by_the_root_of_its_promise():
     simulator = replace(LINE, run=walled, candidates=(stop, *CAUSES))
     runs = [replace(r, columns={**r.columns, "y": r.columns["y"]}) for r in RUNS]
     base = fitted(problem_of(runs, simulator=simulator))
-    (lead,) = screen(base, [Probe(stop, (20.0,), True)])
+    (lead_candidate,) = screen(base, [Probe(stop, (20.0,), True)])
     exact = solved(design(RUNS, "bend"), Y)[2]
     # 30/at² is the size of the bend; the probe may be stretched thirtyfold.
     times = min(exact / (30.0 / 20.0**2), 30.0)
-    assert lead.values[0] == pytest.approx(20.0 / np.sqrt(times), rel=1e-3)
+    assert lead_candidate.values[0] == pytest.approx(20.0 / np.sqrt(times), rel=1e-3)
 
 
 # Offsets that all runs share.
 
 
 def test_offsets_nearby_add_what_least_squares_finds():
-    own = replace(LINE, per_run={"y": {"zero": 5.0}})
-    problem = problem_of(RUNS, simulator=own)
+    with_offsets = replace(LINE, per_run={"y": {"zero": 5.0}})
+    problem = problem_of(RUNS, simulator=with_offsets)
     clean = problem.bare.predict(Hypothesis(of_all=LINE.base), np.array([0.8, 2.0]))
     rows = problem.directions(Hypothesis(of_all=LINE.base), np.array([0.8, 2.0]), clean, {})
     near = Nearby(rows)
@@ -126,20 +126,20 @@ def test_offsets_nearby_add_what_least_squares_finds():
 # What is said of what the runs do not tell.
 
 
-def told(**change):
-    given = {"name": "slope", "is_base": True, "sigma": 1.0, "hidden": 0.5}
-    return ParameterIdentifiability(**(given | change))
+def make_identifiability(**change):
+    fields = {"name": "slope", "is_base": True, "sigma": 1.0, "hidden": 0.5}
+    return ParameterIdentifiability(**(fields | change))
 
 
 @pytest.mark.parametrize(
     ("one", "code"),
     [
-        (told(offset="zero of y"), "gap.told.own"),
-        (told(offset="zero of y", beside=("level",)), "gap.told.own"),
-        (told(beside=("level",)), "gap.told.beside"),
-        (told(beside=("level",), sigma=0.0), "gap.told.beside"),
-        (told(sigma=TELL.nothing), "gap.told.small"),
-        (told(sigma=0.99 * TELL.nothing), "gap.told.never"),
+        (make_identifiability(offset="zero of y"), "gap.told.own"),
+        (make_identifiability(offset="zero of y", beside=("level",)), "gap.told.own"),
+        (make_identifiability(beside=("level",)), "gap.told.beside"),
+        (make_identifiability(beside=("level",), sigma=0.0), "gap.told.beside"),
+        (make_identifiability(sigma=IDENTIFIABILITY.nothing), "gap.told.small"),
+        (make_identifiability(sigma=0.99 * IDENTIFIABILITY.nothing), "gap.told.never"),
     ],
 )
 def test_a_reason_is_the_first_that_holds(one, code):
@@ -148,10 +148,18 @@ def test_a_reason_is_the_first_that_holds(one, code):
     assert explain_unidentifiable(replace(one, by=("wide",))).values["cure"].code == "gap.told.run"
 
 
-def test_what_is_told_shows_by_so_many_sigma_and_is_no_offset():
-    assert told(sigma=TELL.sigma).is_identifiable and not told(sigma=TELL.sigma - 1e-9).is_identifiable
-    assert not told(sigma=99.0, offset="zero of y").is_identifiable and told(offset="zero of y").is_run_nuisance
-    every = Identifiability((told(sigma=99.0), told(name="bend", is_base=False)), (("a", "b"),))
+def test_what_is_identifiable_shows_by_so_many_sigma_and_is_no_offset():
+    assert (
+        make_identifiability(sigma=IDENTIFIABILITY.sigma).is_identifiable
+        and not make_identifiability(sigma=IDENTIFIABILITY.sigma - 1e-9).is_identifiable
+    )
+    assert (
+        not make_identifiability(sigma=99.0, offset="zero of y").is_identifiable
+        and make_identifiability(offset="zero of y").is_run_nuisance
+    )
+    every = Identifiability(
+        (make_identifiability(sigma=99.0), make_identifiability(name="bend", is_base=False)), (("a", "b"),)
+    )
     assert [one.name for one in every.unidentifiable] == ["bend"] and every["bend"].sigma == 1.0
     record = every.record()
     assert record["base"]["slope"]["is_told"] is True and record["causes"]["bend"]["is_told"] is False
@@ -165,10 +173,10 @@ def test_a_cause_that_fills_an_offset_to_its_bound_is_no_offset():
     )
     runs = [replace(r, columns={**r.columns, "y": 1 + 2 * r.columns["x"] + 0.4 * r.elapsed_s}) for r in RUNS]
     for largest, is_run_nuisance in ((5.0, True), (0.1, False)):
-        own = replace(tilt, per_run={"y": {"drift": largest}}, candidates=(BEND,))
-        base = fitted(problem_of(runs, simulator=own))
+        with_offsets = replace(tilt, per_run={"y": {"drift": largest}}, candidates=(BEND,))
+        base = fitted(problem_of(runs, simulator=with_offsets))
         one = identifiability(base, (BEND,))["bend"]
-        assert one.own > TELL.own
+        assert one.own > IDENTIFIABILITY.offset_share
         assert one.is_run_nuisance is is_run_nuisance and one.offset == ("drift of y" if is_run_nuisance else "")
 
 
@@ -179,8 +187,8 @@ def test_a_mistake_beside_a_cause_must_be_far_ahead():
     drift = EFFECTS["loadcell_drift"]
     runs = [run_of(k, 400) for k in (1, 2, 3)]
     runs = [replace(r, force_N=r.force_N + 0.03 * r.t_s) for r in runs]
-    spoilt = [replace(runs[0], force_N=1.3 * runs[0].force_N), *runs[1:]]
-    for these, is_mistake in ((spoilt, True), (runs, False)):
+    mistaken_runs = [replace(runs[0], force_N=1.3 * runs[0].force_N), *runs[1:]]
+    for these, is_mistake in ((mistaken_runs, True), (runs, False)):
         problem = Problem(TWIN, Case("B", tuple(these)), PROBLEM.sigma)
         base = fit(problem, Hypothesis(), AT)
         alone = fit(problem, Hypothesis((drift,)), np.append(base.coordinates, 0.03))
@@ -188,14 +196,14 @@ def test_a_mistake_beside_a_cause_must_be_far_ahead():
             base=base, best=alone, fits={(): base, alone.ids: alone}, model=TWIN,
             is_explained=posterior_clean, grown_from=lambda fitted: [],
         )  # fmt: skip
-        found = outlier_run_with_causes(search)
-        assert (found is not None) is is_mistake
-        if found:
-            assert (found.what, found.channel, found.runs) == ("gain", "force", (1,))
+        mistake = outlier_run_with_causes(search)
+        assert (mistake is not None) is is_mistake
+        if mistake:
+            assert (mistake.what, mistake.channel, mistake.runs) == ("gain", "force", (1,))
 
 
-def posterior_clean(found):
-    return not structure(found).is_significant
+def posterior_clean(posterior):
+    return not structure(posterior).is_significant
 
 
 def test_exchanged_columns_are_found_by_the_simulator():
@@ -210,9 +218,9 @@ def test_exchanged_columns_are_found_by_the_simulator():
         runs.append(replace(run, columns={**run.columns, "y": 1.0 + 2.0 * x**3 + rng.normal(0, SIGMA, len(x))}))
     swapped = [replace(r, columns={**r.columns, "x": r.columns["y"], "y": r.columns["x"]}) for r in runs]
     model = SimulatorModel(simulator)
-    found = against_others(model, model.base_fit(Case("X", tuple(swapped))))
-    assert (found.mistake.what, found.mistake.channel, found.mistake.runs) == ("swapped_columns", "x+y", ())
-    assert found.is_claim and found.residual < 0.05
+    mistakes = against_others(model, model.base_fit(Case("X", tuple(swapped))))
+    assert (mistakes.mistake.what, mistakes.mistake.channel, mistakes.mistake.runs) == ("swapped_columns", "x+y", ())
+    assert mistakes.is_claim and mistakes.residual < 0.05
     assert against_others(model, model.base_fit(Case("X", tuple(runs)))) is None
 
 
@@ -220,16 +228,16 @@ def test_exchanged_columns_are_found_by_the_simulator():
 
 
 def test_a_tone_beside_a_named_line_is_the_lines():
-    found = spoilt_fit("output_V", lambda r: 0.0012 * np.sin(2 * np.pi * 8.2 * r.t_s))
+    fit = fit_with_change("output_V", lambda r: 0.0012 * np.sin(2 * np.pi * 8.2 * r.t_s))
     hum = EFFECTS["mains_hum"].of_runs(2)
-    for amplitude, frequency_Hz, is_told in (
+    for amplitude, frequency_Hz, is_found in (
         (0.004, 8.0, False),
-        (0.004, 8.0 - PLACE.breathes_Hz, True),
+        (0.004, 8.0 - FAULT_LOCATION.breathes_Hz, True),
         (0.0012, 8.0, True),
     ):
         at = np.array([*AT, amplitude, frequency_Hz, 0.0, 0.0])
-        named = replace(found, hypothesis=found.hypothesis.adding(hum), coordinates=at)
-        assert (loose_noise(named) is not None) is is_told
+        with_line_named = replace(fit, hypothesis=fit.hypothesis.adding(hum), coordinates=at)
+        assert (loose_noise(with_line_named) is not None) is is_found
 
 
 def test_without_a_stage_or_an_output_nothing_is_loose():
@@ -245,7 +253,7 @@ def test_without_a_stage_or_an_output_nothing_is_loose():
 class Lone(TwinModel):
     """A twin of which nothing is known that a residual may follow, but another channel."""
 
-    def followed(self, found, channel):
+    def followed(self, fit, channel):
         return [[]]
 
 
@@ -264,12 +272,12 @@ def test_what_another_channel_leaves_tells_too():
 
 
 def test_a_colour_stays_where_none_is_given():
-    coloured = PROBLEM.with_noise(PROBLEM.sigma, {"output_V": NoiseCorrelation(0.002, 0.5)})
-    assert coloured.with_noise({"force_N": 1.0, "output_V": 1.0}).correlation == coloured.correlation
-    assert coloured.with_noise(PROBLEM.sigma, {}).correlation == {}
-    assert coloured.of_run(CASE.runs[0]).correlation == coloured.correlation
-    seen = coloured.seeing(np.ones(len(coloured.measured)))
-    np.testing.assert_allclose(seen.whitened(coloured.measured), coloured.whitened(coloured.measured))
+    correlated = PROBLEM.with_noise(PROBLEM.sigma, {"output_V": NoiseCorrelation(0.002, 0.5)})
+    assert correlated.with_noise({"force_N": 1.0, "output_V": 1.0}).correlation == correlated.correlation
+    assert correlated.with_noise(PROBLEM.sigma, {}).correlation == {}
+    assert correlated.of_run(CASE.runs[0]).correlation == correlated.correlation
+    weighted = correlated.seeing(np.ones(len(correlated.measured)))
+    np.testing.assert_allclose(weighted.whitened(correlated.measured), correlated.whitened(correlated.measured))
 
 
 # Free forms.

@@ -68,12 +68,12 @@ def rms(x):
 def test_ratios_and_relative_errors_are_what_they_say():
     rig, base, explained = LotErrors(2.0, 0.5, 0.25), LotErrors(1.0, 0.4, 0.25), LotErrors(2.2, 0.6, 0.2)
     assert rig.after_by_own == 2.0
-    found = Transfer(rig, base, explained, 3)
-    rows = {name: values for name, *values in found.rows()}
+    comparison = Transfer(rig, base, explained, 3)
+    rows = {name: values for name, *values in comparison.rows()}
     assert rows["before"] == [2.0, 1.0, 2.2, pytest.approx(0.5), pytest.approx(0.1)]
     assert rows["own"] == [0.25, 0.25, 0.2, 0.0, pytest.approx(0.2)]
     assert rows["after_by_own"] == pytest.approx([2.0, 1.6, 3.0, 0.2, 0.5])
-    record = found.to_record()
+    record = comparison.to_record()
     assert record["relative_error"]["after"] == {"base": pytest.approx(0.2), "explained": pytest.approx(0.2)}
     assert record["explained"]["after_by_own"] == pytest.approx(3.0) and record["units"] == 3
 
@@ -86,7 +86,9 @@ def test_worth_is_the_fewest_recordings_that_do_as_well(rig, explained, worth, s
     one = CalibrationWorth("u", 2.0 * explained, explained, rig, fitted_on=1)
     assert (one.worth, one.saves) == (worth, saves)
     assert one.record()["worth"] == worth and one.record()["saves"] == saves
-    nominal = next((k for k, own in enumerate(rig, start=1) if own <= METHOD.worth.alike * 2.0 * explained), len(rig))
+    nominal = next(
+        (k for k, rig_error in enumerate(rig, start=1) if rig_error <= METHOD.worth.alike * 2.0 * explained), len(rig)
+    )
     assert one.nominal_saves == max(nominal - 1, 0) == one.record()["nominal_saves"]
 
 
@@ -102,8 +104,8 @@ def test_the_worth_of_a_cause_is_that_of_lines_trained_on_its_twins(lines):
     at = np.array([to_fit(p, getattr(PAD, p.name)) for p in BASE])
     problem = Problem(TWIN, case, {"force_N": 0.01, "output_V": 0.0005})
     shared = fit(problem, Hypothesis((EFFECTS["wiring_resistance"],)), np.append(at, 1.2))
-    said = []
-    found = calibration_worth("u", case, audit, shared, said.append)
+    messages = []
+    worth = calibration_worth("u", case, audit, shared, messages.append)
     test = labelled(audit.runs[0])
     for k in (1, 2, 3):
         columns = [labelled(r) for r in case.runs[:k]]
@@ -112,10 +114,10 @@ def test_the_worth_of_a_cause_is_that_of_lines_trained_on_its_twins(lines):
             for n in ("windows", "window_reference")
         )
         line = np.polyfit(x, y, 1)
-        assert found.rig[k - 1] == pytest.approx(rms(np.polyval(line, test.windows[:, -1]) - test.window_reference))
+        assert worth.rig[k - 1] == pytest.approx(rms(np.polyval(line, test.windows[:, -1]) - test.window_reference))
     # Trained on a twin that is right, a line errs as one trained on the rig does.
-    assert found.explained == pytest.approx(found.rig[-1], rel=0.05)
-    assert found.fitted_on == METHOD.worth.fitted_on and found.unit == "u"
+    assert worth.explained == pytest.approx(worth.rig[-1], rel=0.05)
+    assert worth.fitted_on == METHOD.worth.fitted_on and worth.unit == "u"
     nominal, explained = lines[0], lines[1]
     assert len(nominal) == len(explained) == 1200
     assert not np.array_equal(nominal.unlabelled.output, explained.unlabelled.output)
@@ -135,12 +137,12 @@ def lot(twin, count=2):
 
 
 def test_errors_of_a_lot_are_medians_on_the_rest_of_each_audit(lines, monkeypatch):
-    made = lot(RIG, 3)
+    rig_lot = lot(RIG, 3)
     monkeypatch.setattr(transfer, "make_source_model", lambda source, network, rows, *, method: None)
     monkeypatch.setattr(transfer, "UnitProblem", lambda model, recording: recording)
 
     def calibrate(problem):
-        if problem is made.units[1].recording:
+        if problem is rig_lot.units[1].recording:
             raise UnitRefused("no map")
         return SimpleNamespace(calibration="map")
 
@@ -150,15 +152,15 @@ def test_errors_of_a_lot_are_medians_on_the_rest_of_each_audit(lines, monkeypatc
         "estimate",
         lambda network, calibration, recording: SimpleNamespace(estimate=np.full(len(recording), 1.5)),
     )
-    found = transfer.lot_errors(made)
-    shared, rows = Line(made.source), []
-    for k, unit in enumerate(made.units):
+    lot_errors = transfer.lot_errors(rig_lot)
+    shared, rows = Line(rig_lot.source), []
+    for k, unit in enumerate(rig_lot.units):
         split = int(METHOD.worth.train_share * 500)
         test, train = unit.audit.part(split, 500), unit.audit.part(0, split)
         before = rms(shared.evaluate(test.windows) - test.window_reference)
         after = before if k == 1 else rms(1.5 - test.reference)
         rows.append((before, after, rms(Line(train).evaluate(test.windows) - test.window_reference)))
-    assert (found.before, found.after, found.own) == pytest.approx(tuple(np.median(rows, axis=0)))
+    assert (lot_errors.before, lot_errors.after, lot_errors.own) == pytest.approx(tuple(np.median(rows, axis=0)))
 
 
 def test_a_lot_like_the_rigs_is_pressed_along_its_positions():
@@ -184,10 +186,15 @@ def test_a_lot_like_the_rigs_is_pressed_along_its_positions():
 
 def test_three_lots_are_compared(monkeypatch):
     rig = lot(RIG, 1)
-    seen = []
-    monkeypatch.setattr(transfer, "lot_errors", lambda made: seen.append(made) or LotErrors(len(seen), 1.0, 1.0))
+    calls = []
+    monkeypatch.setattr(transfer, "lot_errors", lambda made: calls.append(made) or LotErrors(len(calls), 1.0, 1.0))
     monkeypatch.setattr(transfer, "simulate_alike", lambda rig, twin, seed: (twin, seed))
     base, explained = Twin(PAD, (), READOUT), RIG
-    found = transfer.transfer(rig, base, explained, seed=4)
-    assert seen == [rig, (base, 4), (explained, 4)]
-    assert (found.rig.before, found.base.before, found.explained.before, found.units) == (1, 2, 3, 1)
+    comparison = transfer.transfer(rig, base, explained, seed=4)
+    assert calls == [rig, (base, 4), (explained, 4)]
+    assert (comparison.rig.before, comparison.base.before, comparison.explained.before, comparison.units) == (
+        1,
+        2,
+        3,
+        1,
+    )

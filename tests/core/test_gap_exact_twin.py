@@ -10,6 +10,15 @@ from scipy.optimize import least_squares
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNEL_OF_STAGE, COMMON, Case, RigScale, Run
 from softcal.core.gap.evidence import in_catalogue_form, with_constants
+from softcal.core.gap.fault_location import (
+    Tone,
+    conditions_of_presses,
+    explained_twin,
+    likely_stages,
+    loose_noise,
+    strongest_tone,
+    suspects,
+)
 from softcal.core.gap.fit import (
     Map,
     Structure,
@@ -24,15 +33,6 @@ from softcal.core.gap.fit import (
 from softcal.core.gap.hypothesis import BASE, Hypothesis, Probe, to_fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.model import Problem
-from softcal.core.gap.places import (
-    Tone,
-    conditions_of_presses,
-    explained_twin,
-    likely_stages,
-    loose_noise,
-    strongest_tone,
-    suspects,
-)
 from softcal.core.gap.residual import with_driving_noise
 from softcal.core.gap.search import best_unmodelled, causes_with_surrogate, fit_jointly, screen, surrogate_share
 from softcal.core.gap.twin import TWIN
@@ -105,7 +105,7 @@ def pad_fit(problem=PROBLEM, *effects, values=()):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"kind": "bend"}, "'bend'"),
         ({"t_s": np.where(np.arange(400) == 9, np.nan, np.arange(400) * 0.02)}, "t_s is not finite"),
@@ -121,8 +121,8 @@ def pad_fit(problem=PROBLEM, *effects, values=()):
         ({"kind": "dummy_resistor", "dummy_ohm": 0.0}, "dummy_ohm above 0"),
     ],
 )
-def test_a_run_that_cannot_be_is_refused(change, says):
-    with pytest.raises(InputError, match=says):
+def test_a_run_that_cannot_be_is_refused(change, message):
+    with pytest.raises(InputError, match=message):
         run_of(**change)
 
 
@@ -149,10 +149,10 @@ def test_the_noise_of_a_measured_force_is_read_from_second_differences():
     noise = np.random.default_rng(3).normal(0.0, 0.05, 5000)
     ramp = 0.01 * np.arange(5000)
     run = Run("1", np.arange(5000) * 0.02, READOUT, stage_mm=ramp, force_N=ramp + noise)
-    found = run.driving_force
+    driving_N = run.driving_force
     # A line through nine samples keeps a ninth of the variance in its middle.
-    assert np.median(found.sigma_N) == pytest.approx(0.05 / 3.0, rel=0.05)
-    assert np.std(found.force_N - ramp) < 0.035
+    assert np.median(driving_N.sigma_N) == pytest.approx(0.05 / 3.0, rel=0.05)
+    assert np.std(driving_N.force_N - ramp) < 0.035
     with pytest.raises(ValueError, match="no force"):
         _ = run_of(force_N=None).driving_force
 
@@ -198,11 +198,11 @@ def test_a_channel_changes_by_its_span_in_a_kind_of_run():
 
 
 def test_the_size_of_a_rig_is_read_off_its_runs():
-    scale = RigScale.of(CASE)
-    reach = {c: max(np.ptp(v) for v in CASE.recorded(c)) for c in ("stage_mm", "force_N")}
-    for unit, size in (("mm", reach["stage_mm"]), ("N", reach["force_N"]), ("ohm", 10.0), ("V", 3.3)):
+    scale = RigScale.from_case(CASE)
+    ranges = {c: max(np.ptp(v) for v in CASE.recorded(c)) for c in ("stage_mm", "force_N")}
+    for unit, size in (("mm", ranges["stage_mm"]), ("N", ranges["force_N"]), ("ohm", 10.0), ("V", 3.3)):
         assert scale.factor(unit) == pytest.approx(size / COMMON[unit])
-    without = RigScale.of(case_of(run_of(force_N=None)))
+    without = RigScale.from_case(case_of(run_of(force_N=None)))
     assert without.factor("N") == pytest.approx(without.factor("mm"))
 
 
@@ -333,8 +333,8 @@ def test_without_a_stage_the_force_drives_the_chain():
 def test_the_noise_of_a_driving_force_is_carried_through_the_slope():
     run = run_of(1, 2000, stage_mm=None)
     problem = Problem(TWIN, case_of(run), SIGMA)
-    found = fit(problem, Hypothesis(), AT)
-    driven = with_driving_noise(problem, found)
+    result = fit(problem, Hypothesis(), AT)
+    driven = with_driving_noise(problem, result)
     assert driven.is_driven_by_force and not problem.is_driven_by_force
     force = run.driving_force.force_N
     slope = 3.3 * 10.0 / (4.0 / (1 - 0.06 * force) + 10.0) ** 2 * 4.0 * 0.06 / (1 - 0.06 * force) ** 2
@@ -357,7 +357,7 @@ def test_an_unforeseeable_sample_costs_what_a_right_prediction_would():
 
 
 def test_a_base_fit_is_that_of_scipy():
-    found = pad_fit(PROBLEM.bare)
+    fit = pad_fit(PROBLEM.bare)
 
     def error(x):
         base = BaseParameters(x[0], x[1], x[2], np.exp(x[3]), x[4])
@@ -372,10 +372,10 @@ def test_a_base_fit_is_that_of_scipy():
         return np.concatenate(out)
 
     expected = least_squares(error, AT, x_scale=[0.3, 1.0, 0.1, 1.0, 0.07])
-    assert found.chi2 == pytest.approx(2 * expected.cost, abs=0.05)
+    assert fit.chi2 == pytest.approx(2 * expected.cost, abs=0.05)
     deviation = np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac)))
-    np.testing.assert_allclose(found.coordinates, expected.x, atol=0.1 * deviation.max())
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), deviation, rtol=0.05)
+    np.testing.assert_allclose(fit.coordinates, expected.x, atol=0.1 * deviation.max())
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), deviation, rtol=0.05)
 
 
 def test_a_rough_start_is_near_the_truth():
@@ -400,11 +400,11 @@ def test_a_rough_start_is_near_the_truth():
 
 
 def test_a_base_is_fitted_with_the_noise_of_its_residual():
-    found = TWIN.base_fit(CASE)
-    for p, x, at in zip(BASE, found.coordinates, AT, strict=True):
+    base = TWIN.base_fit(CASE)
+    for p, x, at in zip(BASE, base.coordinates, AT, strict=True):
         assert x == pytest.approx(at, abs=0.02), p.name
-    assert found.problem.sigma["force_N"] == pytest.approx(0.01, rel=0.1)
-    assert found.problem.sigma["output_V"] == pytest.approx(0.001, rel=0.1)
+    assert base.problem.sigma["force_N"] == pytest.approx(0.01, rel=0.1)
+    assert base.problem.sigma["output_V"] == pytest.approx(0.001, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -423,9 +423,9 @@ def test_channels_determine_parameters(missing, free):
 
 
 def test_extents_are_read_off_the_case():
-    found = pad_fit()
-    at = excitation_of(found)
-    assert at.depth_mm == pytest.approx(max(r.stage_mm.max() for r in CASE.runs) - found.base.u0_mm)
+    result = pad_fit()
+    at = excitation_of(result)
+    assert at.depth_mm == pytest.approx(max(r.stage_mm.max() for r in CASE.runs) - result.base.u0_mm)
     assert at.force_N == max(r.force_N.max() for r in CASE.runs)
     assert (at.lowest_V, at.highest_V) == (
         min(r.output_V.min() for r in CASE.runs),
@@ -450,8 +450,8 @@ def test_noise_that_is_believed_has_a_least():
 
 
 def test_bases_of_runs_differ_by_seat_and_resistance():
-    own = bases_of(PAD, {1: np.array([0.3, 0.01, 0.02])})
-    assert own[1] == replace(PAD, r0_ohm=4.04, u0_mm=0.37)
+    bases = bases_of(PAD, {1: np.array([0.3, 0.01, 0.02])})
+    assert bases[1] == replace(PAD, r0_ohm=4.04, u0_mm=0.37)
     problem = PROBLEM
     sizes = {0: np.array([0.3, 0.01, 0.02]), 1: np.zeros(3)}
     out, clean = problem.clean(Hypothesis(), AT, sizes), problem.clean(Hypothesis(), AT, {})
@@ -470,16 +470,16 @@ def test_directions_of_offsets_are_derivatives():
             sizes = {k: np.zeros(3) for k in (0, 1)}
             sizes[run][kind] = eps
             change = (problem.clean(Hypothesis(), AT, sizes) - clean) / eps
-            bends = np.abs(rows[run][kind] - change) > 1e-3 * max(np.abs(change).max(), 1e-12)
-            assert bends.sum() <= 4, (run, kind)
+            is_curved = np.abs(rows[run][kind] - change) > 1e-3 * max(np.abs(change).max(), 1e-12)
+            assert is_curved.sum() <= 4, (run, kind)
     every, kinds = nuisance_rows(problem, problem.directions(Hypothesis(), AT, clean, {}))
     assert kinds == (0, 0, 1, 2)
     np.testing.assert_allclose(every[2], rows[1][1] - rows[0][1])
     np.testing.assert_allclose(every[0], rows[0][0])
-    held = problem.largest_offsets
+    largest = problem.largest_offsets
     spans = [max(np.ptp(getattr(r, c)) for r in CASE.runs) for c in ("force_N", "stage_mm")]
     config = METHOD.offset
-    np.testing.assert_allclose(held, [config.tare * spans[0], config.resistance, config.seat * spans[1]])
+    np.testing.assert_allclose(largest, [config.tare * spans[0], config.resistance, config.seat * spans[1]])
 
 
 # Maps and where a gap lies.
@@ -487,7 +487,7 @@ def test_directions_of_offsets_are_derivatives():
 
 def mapped(**z):
     names = {"sf": "stage→force", "fo": "force→output", "so": "stage→output"}
-    return tuple(Map(names[k], Structure(v, 1.0, v > METHOD.structure.dirty_z)) for k, v in z.items())
+    return tuple(Map(names[k], Structure(v, 1.0, v > METHOD.structure.structured_z)) for k, v in z.items())
 
 
 BEFORE, BEHIND = {"mechanics", "motion"}, {"transduction", "electronics", "acquisition"}
@@ -531,7 +531,7 @@ def test_three_maps_are_three_fits():
 LONG = (run_of(1, 900), run_of(2, 700, speed=1.7))
 
 
-def spoilt_fit(channel, change):
+def fit_with_change(channel, change):
     """The base at the truth, on runs whose channel is changed by hand."""
     runs = [replace(r, **{channel: getattr(r, channel) + change(r)}) for r in LONG]
     problem = Problem(TWIN, Case("S", tuple(runs)), SIGMA).bare
@@ -540,23 +540,23 @@ def spoilt_fit(channel, change):
 
 def test_shares_of_a_gap_are_those_of_its_energy():
     loading = lambda r: np.gradient(r.stage_mm, r.t_s) > 0  # noqa: E731
-    found = spoilt_fit("force_N", lambda r: 0.3 * loading(r) * (r.stage_mm > 0.35))
-    blocks = found.problem.blocks_of("force_N")
-    excess = np.concatenate([found.residual[b.rows] ** 2 - 1 for b in blocks])
-    every = np.concatenate([loading(found.problem.case.runs[b.run]) for b in blocks])
+    fit = fit_with_change("force_N", lambda r: 0.3 * loading(r) * (r.stage_mm > 0.35))
+    blocks = fit.problem.blocks_of("force_N")
+    excess = np.concatenate([fit.residual[b.rows] ** 2 - 1 for b in blocks])
+    every = np.concatenate([loading(fit.problem.case.runs[b.run]) for b in blocks])
     rare = np.arange(len(every)) < 3
     nearly = ~rare
     shares = dict(
         (k, (s, t))
         for k, s, t in shares_of_gap(
-            found,
+            fit,
             blocks,
             {Reason("gap.regime.loading"): every, Reason("gap.regime.start"): rare, Reason("gap.regime.end"): nearly},
         )
     )
     assert list(shares) == [Reason("gap.regime.loading")]
     assert shares[Reason("gap.regime.loading")] == pytest.approx((excess[every].sum() / excess.sum(), every.mean()))
-    clean = spoilt_fit("force_N", lambda r: 0.0)
+    clean = fit_with_change("force_N", lambda r: 0.0)
     assert list(shares_of_gap(clean, clean.problem.blocks_of("force_N"), {Reason("gap.regime.loading"): every})) == []
 
 
@@ -575,17 +575,19 @@ def test_shares_of_a_gap_are_those_of_its_energy():
 @pytest.mark.parametrize("channel", ["force_N", "output_V"])
 def test_a_gap_of_one_regime_is_listed_first(name, where, channel):
     size = 60.0 * SIGMA[channel]
-    found = strongest_regimes(spoilt_fit(channel, lambda r: size * where(r)), conditions_of_presses)
-    assert found[0].name.code == f"gap.regime.{name}"
-    assert found[0].channel == channel
-    assert found[0].share > 0.9 and found[0].lift > 1.5
-    keys = [-r.share * np.log(max(r.lift, 1.0) + 1e-9) for r in found]
+    regimes_found = strongest_regimes(fit_with_change(channel, lambda r: size * where(r)), conditions_of_presses)
+    assert regimes_found[0].name.code == f"gap.regime.{name}"
+    assert regimes_found[0].channel == channel
+    assert regimes_found[0].share > 0.9 and regimes_found[0].lift > 1.5
+    keys = [-r.share * np.log(max(r.lift, 1.0) + 1e-9) for r in regimes_found]
     assert keys == sorted(keys)
 
 
 def test_a_gap_of_one_run_names_the_run():
-    found = strongest_regimes(spoilt_fit("force_N", lambda r: 0.6 * (r.name == "2")), conditions_of_presses)
-    assert found[0].name.values["run"] == "2" and found[0].share > 0.99
+    regimes_found = strongest_regimes(
+        fit_with_change("force_N", lambda r: 0.6 * (r.name == "2")), conditions_of_presses
+    )
+    assert regimes_found[0].name.values["run"] == "2" and regimes_found[0].share > 0.99
 
 
 def test_a_hold_is_where_the_stage_stands():
@@ -595,37 +597,39 @@ def test_a_hold_is_where_the_stage_stands():
     rng = np.random.default_rng(1)
     force = elastic(np.maximum(0.0, stage - 0.35)) + rng.normal(0, 0.01, 600) + 0.5 * still
     run = Run("1", t_s, READOUT, stage_mm=np.where(still, 2.5, stage), force_N=force)
-    found = strongest_regimes(
+    regimes_found = strongest_regimes(
         fit(Problem(TWIN, Case("H", (run,)), SIGMA).bare, Hypothesis(), AT, steps=0), conditions_of_presses
     )
-    assert "hold" in found[0].name.code or found[0].name.code.endswith("high_load")
-    assert any(r.name.code == "gap.regime.hold" and r.share > 0.98 for r in found)
+    assert "hold" in regimes_found[0].name.code or regimes_found[0].name.code.endswith("high_load")
+    assert any(r.name.code == "gap.regime.hold" and r.share > 0.98 for r in regimes_found)
 
 
 # Tones, spikes, jitter.
 
 
 def test_a_tone_is_found_with_its_frequency_and_size():
-    found = spoilt_fit("output_V", lambda r: 0.002 * np.sin(2 * np.pi * 8.0 * r.t_s + 0.3))
-    tone = strongest_tone(found)
+    fit = fit_with_change("output_V", lambda r: 0.002 * np.sin(2 * np.pi * 8.0 * r.t_s + 0.3))
+    tone = strongest_tone(fit)
     assert tone.channel == "output_V"
     assert tone.frequency_Hz == pytest.approx(8.0, abs=0.08)
     assert tone.rms == pytest.approx(0.002 / np.sqrt(2) / SIGMA["output_V"], rel=0.15)
     assert tone.width_Hz in [pytest.approx(1 / (0.02 * n)) for n in (900, 700)]
-    assert strongest_tone(spoilt_fit("output_V", lambda r: 0.0)) is None
-    assert loose_noise(found).stage == "electronics"
-    assert loose_noise(spoilt_fit("force_N", lambda r: 0.02 * np.sin(2 * np.pi * 8.0 * r.t_s))).stage == "load_cell"
+    assert strongest_tone(fit_with_change("output_V", lambda r: 0.0)) is None
+    assert loose_noise(fit).stage == "electronics"
+    assert (
+        loose_noise(fit_with_change("force_N", lambda r: 0.02 * np.sin(2 * np.pi * 8.0 * r.t_s))).stage == "load_cell"
+    )
 
 
 def test_a_tone_of_one_of_two_runs_is_none():
-    found = spoilt_fit("output_V", lambda r: 0.002 * np.sin(2 * np.pi * 8.0 * r.t_s) * (r.name == "1"))
-    assert strongest_tone(found) is None
-    apart = spoilt_fit("output_V", lambda r: 0.002 * np.sin(2 * np.pi * (8.0 + 3.0 * (r.name == "1")) * r.t_s))
+    fit = fit_with_change("output_V", lambda r: 0.002 * np.sin(2 * np.pi * 8.0 * r.t_s) * (r.name == "1"))
+    assert strongest_tone(fit) is None
+    apart = fit_with_change("output_V", lambda r: 0.002 * np.sin(2 * np.pi * (8.0 + 3.0 * (r.name == "1")) * r.t_s))
     assert strongest_tone(apart) is None
 
 
 def test_what_is_slow_is_no_tone():
-    assert strongest_tone(spoilt_fit("output_V", lambda r: 0.003 * np.sin(2 * np.pi * 1.3 * r.t_s))) is None
+    assert strongest_tone(fit_with_change("output_V", lambda r: 0.003 * np.sin(2 * np.pi * 1.3 * r.t_s))) is None
 
 
 def test_tones_are_the_same_within_both_widths():
@@ -637,78 +641,81 @@ def test_tones_are_the_same_within_both_widths():
 
 def test_single_samples_far_off_are_spikes():
     rng = np.random.default_rng(2)
-    found = spoilt_fit("output_V", lambda r: 0.03 * (rng.random(len(r)) < 0.02))
-    loose = loose_noise(found)
+    fit = fit_with_change("output_V", lambda r: 0.03 * (rng.random(len(r)) < 0.02))
+    loose = loose_noise(fit)
     assert loose.stage == "electronics" and loose.detail.code == "gap.seen.spikes"
     few = np.zeros(900)
     few[[50, 300, 650]] = 0.03
-    assert loose_noise(spoilt_fit("output_V", lambda r: few[: len(r)] * (r.name == "1"))) is None
+    assert loose_noise(fit_with_change("output_V", lambda r: few[: len(r)] * (r.name == "1"))) is None
 
 
 def test_a_clock_that_jitters_makes_fast_samples_noisy():
     rng = np.random.default_rng(2)
-    found = spoilt_fit("output_V", lambda r: np.gradient(r.stage_mm, r.t_s) * rng.uniform(-0.0016, 0.0016, len(r)))
-    loose = loose_noise(found)
+    fit = fit_with_change("output_V", lambda r: np.gradient(r.stage_mm, r.t_s) * rng.uniform(-0.0016, 0.0016, len(r)))
+    loose = loose_noise(fit)
     assert (loose.stage, loose.detail.code) == ("acquisition", "gap.seen.jitter")
     # Noise that grows with the load is none of the clock.
-    assert loose_noise(spoilt_fit("output_V", lambda r: 0.003 * (r.stage_mm > 2.0) * rng.normal(0, 1, len(r)))) is None
+    assert (
+        loose_noise(fit_with_change("output_V", lambda r: 0.003 * (r.stage_mm > 2.0) * rng.normal(0, 1, len(r))))
+        is None
+    )
 
 
 def stage_of(channel, change, maps):
-    return likely_stages(spoilt_fit(channel, change), mapped(**maps))[0]
+    return likely_stages(fit_with_change(channel, change), mapped(**maps))[0]
 
 
-DIRTY_BEFORE, DIRTY_BEHIND = {"sf": 90.0, "fo": 1.0, "so": 90.0}, {"sf": 1.0, "fo": 90.0, "so": 90.0}
+STRUCTURED_BEFORE, STRUCTURED_BEHIND = {"sf": 90.0, "fo": 1.0, "so": 90.0}, {"sf": 1.0, "fo": 90.0, "so": 90.0}
 
 
 def test_within_a_group_the_residual_tells():
     ripple = lambda r: 0.1 * np.sin(2 * np.pi * r.stage_mm / 0.4) * (r.stage_mm > 0.35)  # noqa: E731
-    assert stage_of("force_N", ripple, DIRTY_BEFORE) == "motion"
+    assert stage_of("force_N", ripple, STRUCTURED_BEFORE) == "motion"
     weaker = lambda r: -0.02 * r.elapsed_s * r.force_N  # noqa: E731
-    assert stage_of("force_N", weaker, DIRTY_BEFORE) == "mechanics"
-    bend = lambda r: 0.02 * (r.stage_mm / 3.0) ** 4  # noqa: E731
-    assert stage_of("output_V", bend, DIRTY_BEHIND) == "transduction"
+    assert stage_of("force_N", weaker, STRUCTURED_BEFORE) == "mechanics"
+    curvature = lambda r: 0.02 * (r.stage_mm / 3.0) ** 4  # noqa: E731
+    assert stage_of("output_V", curvature, STRUCTURED_BEHIND) == "transduction"
     wavy = lambda r: 0.02 * np.sin(2 * np.pi * r.output_V / 0.06)  # noqa: E731
-    assert stage_of("output_V", wavy, DIRTY_BEHIND) == "electronics"
+    assert stage_of("output_V", wavy, STRUCTURED_BEHIND) == "electronics"
     late = lambda r: 0.05 * np.gradient(r.output_V, r.t_s)  # noqa: E731
-    clean_late = spoilt_fit("output_V", lambda r: 0.0)
-    assert stage_of("output_V", late, DIRTY_BEHIND) in ("acquisition", "transduction")
+    clean_late = fit_with_change("output_V", lambda r: 0.0)
+    assert stage_of("output_V", late, STRUCTURED_BEHIND) in ("acquisition", "transduction")
     assert likely_stages(clean_late, mapped(sf=1.0, fo=1.0, so=1.0)) == ()
 
 
 def test_what_errs_at_rest_comes_from_behind_pad_and_channel():
     slow = lambda r: 0.02 * np.sin(2 * np.pi * 1.1 * r.t_s)  # noqa: E731
-    assert stage_of("output_V", lambda r: slow(r) * (r.stage_mm < 0.35), DIRTY_BEHIND) == "electronics"
-    assert stage_of("output_V", lambda r: slow(r) * (r.stage_mm > 1.5), DIRTY_BEHIND) == "transduction"
+    assert stage_of("output_V", lambda r: slow(r) * (r.stage_mm < 0.35), STRUCTURED_BEHIND) == "electronics"
+    assert stage_of("output_V", lambda r: slow(r) * (r.stage_mm > 1.5), STRUCTURED_BEHIND) == "transduction"
 
 
 def test_loose_noise_comes_first_where_maps_are_hardly_dirty():
-    found = spoilt_fit("output_V", lambda r: 0.002 * np.sin(2 * np.pi * 8.0 * r.t_s))
-    faint = METHOD.place.faint_z
-    assert likely_stages(found, mapped(sf=0.9 * faint, fo=1.0, so=0.9 * faint))[0] == "electronics"
-    assert likely_stages(found, mapped(sf=1.1 * faint, fo=0.1, so=1.1 * faint))[0] == "mechanics"
+    fit = fit_with_change("output_V", lambda r: 0.002 * np.sin(2 * np.pi * 8.0 * r.t_s))
+    faint = METHOD.fault_location.faint_z
+    assert likely_stages(fit, mapped(sf=0.9 * faint, fo=1.0, so=0.9 * faint))[0] == "electronics"
+    assert likely_stages(fit, mapped(sf=1.1 * faint, fo=0.1, so=1.1 * faint))[0] == "mechanics"
 
 
 def test_the_chain_offers_what_its_base_knows():
-    found = pad_fit(Problem(TWIN, case_of(run_of(temperature_C=20.0 + np.arange(400) * 0.01)), SIGMA))
-    columns = explanatory_chain_signals(found, "output_V")
-    run, block = found.problem.case.runs[0], found.problem.blocks_of("output_V")[0]
+    fit = pad_fit(Problem(TWIN, case_of(run_of(temperature_C=20.0 + np.arange(400) * 0.01)), SIGMA))
+    columns = explanatory_chain_signals(fit, "output_V")
+    run, block = fit.problem.case.runs[0], fit.problem.blocks_of("output_V")[0]
     rows = [c[block.rows] for c in columns]
-    other = found.problem.blocks_of("force_N")[0]
+    other = fit.problem.blocks_of("force_N")[0]
     assert all(not c[other.rows].any() for c in columns)
-    depth = np.maximum(run.stage_mm - found.base.u0_mm, 0.0)
+    depth = np.maximum(run.stage_mm - fit.base.u0_mm, 0.0)
     load = elastic(depth) / elastic(depth).max()
     for expected in (run.elapsed_s, run.stage_mm, run.temperature_rise_K, np.maximum.accumulate(depth) / depth.max()):
         assert any(np.allclose(row, expected, atol=1e-6) for row in rows)
     rate = np.gradient(load, run.elapsed_s)
     for expected in (rate, load * rate, np.sign(rate), load * run.elapsed_s, load * run.temperature_rise_K):
         assert min(np.max(np.abs(row - expected)) for row in rows) < 0.02 * np.abs(expected).max() + 1e-9
-    hats = METHOD.floor.hats
+    hats = METHOD.noise_test.hats
     np.testing.assert_allclose(np.sum(rows[:hats], axis=0)[depth > depth.max() / hats], 1.0, atol=1e-9)
-    for tau_s in METHOD.floor.memory_s:
+    for tau_s in METHOD.noise_test.memory_s:
         memory = low_pass(load, run.step_s, tau_s, np.zeros(2))
         assert min(np.max(np.abs(row - memory)) for row in rows) < 0.01
-    np.testing.assert_array_equal(TWIN.halves(found, block)[0], run.stage_mm > found.base.u0_mm)
+    np.testing.assert_array_equal(TWIN.halves(fit, block)[0], run.stage_mm > fit.base.u0_mm)
 
 
 # Unmodelled effects and free forms.
@@ -731,29 +738,29 @@ def test_a_departure_multiplies_or_adds_what_it_follows():
 def test_a_departure_of_another_kind_is_found(name):
     (one,) = [s for s in UNMODELLED_EFFECTS if s.id.endswith(name)]
     usual = 8.0 * one.parameters[0].usual
-    made = PROBLEM.bare.predict(Hypothesis((one,)), np.append(AT, usual))
+    measured = PROBLEM.bare.predict(Hypothesis((one,)), np.append(AT, usual))
     noise = PROBLEM.measured - PROBLEM.bare.predict(Hypothesis(), AT)
-    parts = {(b.run, b.channel): (made + noise)[b.rows] for b in PROBLEM.blocks}
+    parts = {(b.run, b.channel): (measured + noise)[b.rows] for b in PROBLEM.blocks}
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
     base = fit(Problem(TWIN, Case("S", runs), SIGMA), Hypothesis(), AT)
-    found = best_unmodelled(base, [base], [base])
-    assert found.effects[0].id == one.id
-    assert found.effect_values[0][0] == pytest.approx(usual, rel=0.15)
+    unmodelled = best_unmodelled(base, [base], [base])
+    assert unmodelled.effects[0].id == one.id
+    assert unmodelled.effect_values[0][0] == pytest.approx(usual, rel=0.15)
     clean = pad_fit()
     assert best_unmodelled(clean, [clean], [clean]) is None
 
 
 def test_a_free_form_of_a_cause_takes_what_looks_like_it():
     relax = EFFECTS["stress_relaxation"]
-    made = PROBLEM.bare.predict(Hypothesis((relax,)), np.array([*AT, 0.15, np.log(0.3)]))
+    measured = PROBLEM.bare.predict(Hypothesis((relax,)), np.array([*AT, 0.15, np.log(0.3)]))
     # A second, slower relaxation is another equation of the first.
     more = PROBLEM.bare.predict(Hypothesis((relax,)), np.array([*AT, 0.1, np.log(3.0)])) - PROBLEM.bare.predict(
         Hypothesis(), AT
     )
     noise = PROBLEM.measured - PROBLEM.bare.predict(Hypothesis(), AT)
-    parts = {(b.run, b.channel): (made + more + noise)[b.rows] for b in PROBLEM.blocks}
+    parts = {(b.run, b.channel): (measured + more + noise)[b.rows] for b in PROBLEM.blocks}
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
@@ -765,7 +772,7 @@ def test_a_free_form_of_a_cause_takes_what_looks_like_it():
     bare = fit(problem, Hypothesis(), AT)
     assert surrogate_share(bare, best) == 0.0
     assert causes_with_surrogate(best, {"x": rest}) == (
-        ["x"] if surrogate_share(rest, best) >= METHOD.unmodelled.imitated else []
+        ["x"] if surrogate_share(rest, best) >= METHOD.unmodelled.surrogate_share else []
     )
 
 
@@ -774,19 +781,19 @@ def test_a_free_form_of_a_cause_takes_what_looks_like_it():
 
 def test_an_explained_twin_has_the_fitted_base_noise_and_causes():
     lag = EFFECTS["readout_lag"]
-    found = pad_fit(PROBLEM, lag, values=[(0.05,)])
-    twin = explained_twin(found)
+    result = pad_fit(PROBLEM, lag, values=[(0.05,)])
+    twin = explained_twin(result)
     for p in BASE:
-        assert getattr(twin.parameters, p.name) == getattr(found.base, p.name)
+        assert getattr(twin.parameters, p.name) == getattr(result.base, p.name)
     assert twin.parameters.sigma_force_N == SIGMA["force_N"]
     assert twin.parameters.sigma_output_V == pytest.approx(np.sqrt(SIGMA["output_V"] ** 2 - READOUT.step_V**2 / 12))
     (setting,) = twin.effects
     assert (setting.effect_id, setting.form) == ("readout_lag", "")
-    assert setting.values["tau"] == found.effect_values[0][0]
+    assert setting.values["tau"] == result.effect_values[0][0]
     term = EmpiricalTerm("F", "t", 0.1, 5.0, 2.0)
-    assert explained_twin(found, [term]).empirical == (term,)
-    lost = pad_fit(PROBLEM, EFFECTS["dropped_samples"], values=[(3.0,)])
-    assert explained_twin(lost).effects == ()
+    assert explained_twin(result, [term]).empirical == (term,)
+    with_lost_samples = pad_fit(PROBLEM, EFFECTS["dropped_samples"], values=[(3.0,)])
+    assert explained_twin(with_lost_samples).effects == ()
     coarse = Problem(TWIN, case_of(run_of(readout=replace(READOUT, adc_bits=8))), {"force_N": 0.01, "output_V": 0.004})
     assert explained_twin(pad_fit(coarse)).parameters.sigma_output_V == dither_of(coarse)
     quiet = Problem(TWIN, CASE, {"force_N": 0.01, "output_V": 0.1 * READOUT.step_V})
@@ -799,19 +806,19 @@ def test_a_form_is_named_and_taken_back_to_the_catalogue():
     lag = EFFECTS["readout_lag"]
     second = lag.find_form("second order")
     assert (form_of(pad_fit(PROBLEM), second), form_of(pad_fit(PROBLEM), lag)) == ("second order", "")
-    made = pad_fit(PROBLEM, second, values=[(0.05, 0.001)])
-    twin = explained_twin(made)
+    second_order = pad_fit(PROBLEM, second, values=[(0.05, 0.001)])
+    twin = explained_twin(second_order)
     assert twin.effects[0].form == "second order" and set(twin.effects[0].values) == {"tau", "tau2"}
-    back = in_catalogue_form(made)
+    back = in_catalogue_form(second_order)
     assert back.effects == (lag,)
-    assert back.effect_values[0][0] == pytest.approx(made.effect_values[0][0], abs=0.01)
+    assert back.effect_values[0][0] == pytest.approx(second_order.effect_values[0][0], abs=0.01)
     assert in_catalogue_form(back) is back
 
 
 def test_constants_of_a_form_become_one_number_for_all_runs():
     form = next(f.effect for f in EFFECTS["channel_hysteresis"].forms if f.effect.constants)
-    found = fit(PROBLEM.bare, Hypothesis((form,)), np.array([*AT, 0.02, 0.02, 0.02, 0.02]), steps=0)
-    closed = with_constants(found)
+    result = fit(PROBLEM.bare, Hypothesis((form,)), np.array([*AT, 0.02, 0.02, 0.02, 0.02]), steps=0)
+    closed = with_constants(result)
     ((name, value),) = closed.effects[0].constants
     assert name == "reach_N"
     assert value == pytest.approx(max(elastic(np.maximum(0.0, r.stage_mm - 0.35)).max() for r in CASE.runs))
@@ -819,17 +826,17 @@ def test_constants_of_a_form_become_one_number_for_all_runs():
     assert pad_fit().effects == () and with_constants(pad_fit()).effects == ()
 
 
-def test_a_lead_of_the_twin_ends_at_the_truth():
-    made = PROBLEM.bare.predict(Hypothesis((EFFECTS["wiring_resistance"],)), np.append(AT, 1.5))
+def test_a_candidate_of_the_twin_ends_at_the_truth():
+    measured = PROBLEM.bare.predict(Hypothesis((EFFECTS["wiring_resistance"],)), np.append(AT, 1.5))
     noise = PROBLEM.measured - PROBLEM.bare.predict(Hypothesis(), AT)
-    parts = {(b.run, b.channel): (made + noise)[b.rows] for b in PROBLEM.blocks}
+    parts = {(b.run, b.channel): (measured + noise)[b.rows] for b in PROBLEM.blocks}
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
     base = fit(Problem(TWIN, Case("S", runs), SIGMA), Hypothesis(), AT)
-    (lead,) = screen(base, [Probe(EFFECTS["wiring_resistance"], (0.3,), True)])
-    assert lead.values[0] > 0.0 and lead.hidden > 0.9
-    assert fit_jointly(base, lead).effect_values[0][0] == pytest.approx(1.5, rel=0.25)
+    (candidate,) = screen(base, [Probe(EFFECTS["wiring_resistance"], (0.3,), True)])
+    assert candidate.values[0] > 0.0 and candidate.hidden > 0.9
+    assert fit_jointly(base, candidate).effect_values[0][0] == pytest.approx(1.5, rel=0.25)
 
 
 # What could be recorded.
@@ -919,18 +926,18 @@ def test_a_late_cell_follows_by_a_low_pass():
 
 
 def test_what_needs_warmth_or_a_channel_is_not_tried_without():
-    made = Problem(TWIN, WARM_CASE, SIGMA).bare.predict(Hypothesis((UNMODELLED_EFFECTS[5],)), np.append(AT, 0.01))
+    measured = Problem(TWIN, WARM_CASE, SIGMA).bare.predict(Hypothesis((UNMODELLED_EFFECTS[5],)), np.append(AT, 0.01))
     noise = np.random.default_rng(3).normal(size=800) * np.repeat([0.01, 0.001], 400)
-    run = replace(WARM_CASE.runs[0], force_N=(made + noise)[:400], output_V=(made + noise)[400:])
+    run = replace(WARM_CASE.runs[0], force_N=(measured + noise)[:400], output_V=(measured + noise)[400:])
     for is_warm in (True, False):
         one = run if is_warm else replace(run, temperature_C=None)
         base = fit(Problem(TWIN, case_of(one), SIGMA), Hypothesis(), AT)
-        found = best_unmodelled(base, [base], [base])
+        unmodelled = best_unmodelled(base, [base], [base])
         if is_warm:
-            assert found.effects[0].id == UNMODELLED_EFFECTS[5].id
-            assert found.effect_values[0][0] == pytest.approx(0.01, rel=0.1)
+            assert unmodelled.effects[0].id == UNMODELLED_EFFECTS[5].id
+            assert unmodelled.effect_values[0][0] == pytest.approx(0.01, rel=0.1)
         else:
-            assert found is None or not found.effects[0].id.endswith("warm")
+            assert unmodelled is None or not unmodelled.effects[0].id.endswith("warm")
 
 
 # Terms that runs can show.
@@ -940,10 +947,10 @@ def test_terms_of_the_twin_are_those_its_channels_show():
     warm = case_of(run_of(1, temperature_C=WARM_C))
     every = list(terms_of_twin(pad_fit(Problem(TWIN, warm, SIGMA))))
     assert {(t.place, t.variable) for t in every} == {(p, v) for p in ("F", "force_N", "output_V") for v in VARIABLES}
-    found = pad_fit(Problem(TWIN, warm, SIGMA)).base
-    depth = run_of(1).stage_mm.max() - found.u0_mm
+    base = pad_fit(Problem(TWIN, warm, SIGMA)).base
+    depth = run_of(1).stage_mm.max() - base.u0_mm
     assert every[0].depth_mm == pytest.approx(depth)
-    assert every[0].load_N == pytest.approx(found.k1_N_mm * depth + found.k3_N_mm3 * depth**3)
+    assert every[0].load_N == pytest.approx(base.k1_N_mm * depth + base.k3_N_mm3 * depth**3)
     assert all(t.coefficient == 0.0 for t in every)
     plain = {(t.place, t.variable) for t in terms_of_twin(pad_fit(Problem(TWIN, case_of(run_of(1)), SIGMA)))}
     assert plain == {

@@ -5,7 +5,7 @@ import pytest
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.places import likely_stages
+from softcal.core.gap.fault_location import likely_stages
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.parameters import ReadoutMetadata
 
@@ -16,12 +16,12 @@ def recorded(pad=None, force=None, channel=None, output=None, instant=None, cell
     """Runs of a rig in the equations of the base model, with one step of the chain replaced."""
     rng, runs = np.random.default_rng(7), []
     same = lambda t_s, value: value  # noqa: E731
-    pressed = (
+    press_profiles = (
         profiles.ramps([3.0] * 3, 0.5),
         profiles.ramps([3.0] * 12, 4.0),
         profiles.random_presses(rng, 30.0, 3.0),
     )
-    for k, profile in enumerate(pressed):
+    for k, profile in enumerate(press_profiles):
         t_s, stage_mm = profile.sample(50.0)
         depth_mm = np.maximum(0.0, (pad or same)(t_s, stage_mm) - 0.3)
         force_N = (force or same)(t_s, depth_mm + 0.1 * depth_mm**3)

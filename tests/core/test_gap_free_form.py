@@ -15,7 +15,7 @@ CONFIDENT = 0.8
 
 
 @pytest.fixture
-def drawn(drawn_case: Callable[..., Case], monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, int], Case]:
+def draw_rig(drawn_case: Callable[..., Case], monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, int], Case]:
     """`drawn(effect, form, seed)`: a rig with one cause that follows this equation of the second implementation."""
 
     def draw(effect: str, form: str, seed: int) -> Case:
@@ -33,21 +33,21 @@ def _confident(diagnosis: Diagnosis) -> set[str]:
 
 
 @pytest.mark.parametrize("seed", layered((940000, 940001, 940002), (940002,)))
-def test_a_tilted_pad_with_a_rounded_edge_is_named_alone(seed: int, drawn: Callable[..., Case]) -> None:
-    diagnosis = diagnose(drawn("misaligned_contact", "rounded_edge", seed))
+def test_a_tilted_pad_with_a_rounded_edge_is_named_alone(seed: int, draw_rig: Callable[..., Case]) -> None:
+    diagnosis = diagnose(draw_rig("misaligned_contact", "rounded_edge", seed))
     assert diagnosis.verdict == "explained"
     assert _confident(diagnosis) == {"misaligned_contact"}
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("effect", "form"), [("channel_creep", "three_times"), ("stress_relaxation", "three_times")])
-def test_what_another_equation_leaves_is_no_second_cause(effect: str, form: str, drawn: Callable[..., Case]) -> None:
-    diagnosis = diagnose(drawn(effect, form, 940000))
+def test_what_another_equation_leaves_is_no_second_cause(effect: str, form: str, draw_rig: Callable[..., Case]) -> None:
+    diagnosis = diagnose(draw_rig(effect, form, 940000))
     assert _confident(diagnosis) == {effect}
     assert diagnosis.best.hypothesis.ids == (effect,) and diagnosis.verdict in ("explained", "ambiguous")
 
 
 @pytest.mark.parametrize("seed", layered([1400000, 1400001], (1400001,)))
-def test_a_hum_that_swells_and_fades_is_a_hum(seed: int, drawn: Callable[..., Case]) -> None:
-    diagnosis = diagnose(drawn("mains_hum", "beating", seed))
+def test_a_hum_that_swells_and_fades_is_a_hum(seed: int, draw_rig: Callable[..., Case]) -> None:
+    diagnosis = diagnose(draw_rig("mains_hum", "beating", seed))
     assert diagnosis.verdict == "explained" and diagnosis.best.hypothesis.ids == ("mains_hum",)

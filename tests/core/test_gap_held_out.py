@@ -46,9 +46,9 @@ def test_causes_are_chosen_as_by_who_has_never_seen_the_part(faint: Case) -> Non
 @pytest.mark.long
 def test_a_strong_cause_is_chosen_whatever_is_held_back(drawn_case: Callable[..., Case]) -> None:
     diagnosis = diagnose(drawn_case(1300002, "strong", "usual"))
-    named = diagnosis.best.hypothesis.ids
-    assert named and diagnosis.chosen == (named,) * len(diagnosis.chosen)
-    assert diagnosis.report()["shrink"]["chosen"] == [list(named)] * len(diagnosis.chosen)
+    cause = diagnosis.best.hypothesis.ids
+    assert cause and diagnosis.chosen == (cause,) * len(diagnosis.chosen)
+    assert diagnosis.report()["shrink"]["chosen"] == [list(cause)] * len(diagnosis.chosen)
 
 
 def test_nothing_is_chosen_where_nothing_is_left(drawn_case: Callable[..., Case]) -> None:
@@ -72,5 +72,5 @@ def test_a_cause_that_lowers_nothing_on_samples_held_back_has_no_support(
 @pytest.mark.long
 def test_a_cause_that_is_there_has_support(drawn_case: Callable[..., Case]) -> None:
     case = drawn_case(1300002, "strong", "usual")
-    base, (named,) = TWIN.base_fit(case), diagnose(case).best.hypothesis.ids
-    assert unsupported(_with(base, named), {named: base}) == []
+    base, (cause,) = TWIN.base_fit(case), diagnose(case).best.hypothesis.ids
+    assert unsupported(_with(base, cause), {cause: base}) == []

@@ -19,9 +19,12 @@ def size(name: str, usual: float) -> Parameter:
 
 def beam(i: Columns, p: Mapping[str, float]) -> Columns:
     load = i["load_N"]
-    bends = p["length"] * p["softness"] * load + p["heat.rate"] * i["warm_K"]
+    deflection_mm = p["length"] * p["softness"] * load + p["heat.rate"] * i["warm_K"]
     return {
-        "place_mm": bends + p["stiffens.a"] * load**3 - p["slips.a"] * np.maximum(load - 4.0, 0.0) + p["wear.a"] * T
+        "place_mm": deflection_mm
+        + p["stiffens.a"] * load**3
+        - p["slips.a"] * np.maximum(load - 4.0, 0.0)
+        + p["wear.a"] * T
     }
 
 
@@ -46,40 +49,44 @@ SIMULATOR = Simulator(
 
 def run(name: str, inputs: Columns, **hidden: float) -> SimulatorRun:
     truth = {"length": 1.0, "softness": 0.7} | {f"{c.id}.{c.parameters[0].name}": 0.0 for c in SIMULATOR.candidates}
-    place = beam(inputs, truth | hidden)["place_mm"] + np.random.default_rng(len(name)).normal(0.0, 0.01, len(T))
-    return recorded(SIMULATOR, name, {**inputs, "place_mm": place})
+    place_mm = beam(inputs, truth | hidden)["place_mm"] + np.random.default_rng(len(name)).normal(0.0, 0.01, len(T))
+    return recorded(SIMULATOR, name, {**inputs, "place_mm": place_mm})
 
 
 LIGHT = {"t_s": T, "load_N": np.sin(2.0 * T) ** 2, "warm_K": 0.0 * T}
 
 
-def test_what_no_run_moves_is_not_told_and_the_quickest_run_that_would_is_named() -> None:
-    mistakes, told = check_simulator(SIMULATOR, [run("light", LIGHT)])
-    assert not mistakes and told is not None
-    assert told["heat"].sigma == 0.0 and told["heat"].by == ("oven",)
-    assert told["slips"].sigma == 0.0 and told["slips"].by == ("heavy",)
+def test_what_no_run_moves_is_not_identifiable_and_the_quickest_run_that_would_is_named() -> None:
+    mistakes, identifiability = check_simulator(SIMULATOR, [run("light", LIGHT)])
+    assert not mistakes and identifiability is not None
+    assert identifiability["heat"].sigma == 0.0 and identifiability["heat"].by == ("oven",)
+    assert identifiability["slips"].sigma == 0.0 and identifiability["slips"].by == ("heavy",)
     # By hand: a drift of 0.01 per s under noise of 0.01, less what the load can imitate of it.
     load = LIGHT["load_N"]
     by_hand = np.linalg.norm(T - load * (T @ load) / (load @ load))
-    assert told["wear"].is_identifiable and told["wear"].sigma == pytest.approx(by_hand, rel=0.1)
+    assert identifiability["wear"].is_identifiable and identifiability["wear"].sigma == pytest.approx(by_hand, rel=0.1)
 
 
-def test_two_parameters_that_act_as_a_product_are_traded_for_one_another() -> None:
-    _, told = check_simulator(SIMULATOR, [run("light", LIGHT)])
-    assert told is not None
-    assert told["length"].beside == ("softness",) and not told["length"].is_identifiable and told["length"].by == ()
+def test_two_parameters_that_act_as_a_product_are_not_identifiable_apart() -> None:
+    _, identifiability = check_simulator(SIMULATOR, [run("light", LIGHT)])
+    assert identifiability is not None
+    assert (
+        identifiability["length"].beside == ("softness",)
+        and not identifiability["length"].is_identifiable
+        and identifiability["length"].by == ()
+    )
 
 
 @pytest.mark.parametrize("name", SIMULATOR.experiments)
-def test_once_that_run_is_made_the_cause_is_told(name: str) -> None:
+def test_once_that_run_is_made_the_cause_is_identifiable(name: str) -> None:
     _, before = check_simulator(SIMULATOR, [run("light", LIGHT)])
     _, after = check_simulator(SIMULATOR, [run("light", LIGHT), run(name, SIMULATOR.experiments[name].inputs)])
     assert before is not None and after is not None
-    promised = {one.name for one in before.unidentifiable if name in one.by}
-    assert promised and all(after[one].is_identifiable for one in promised)
+    promised_names = {one.name for one in before.unidentifiable if name in one.by}
+    assert promised_names and all(after[one].is_identifiable for one in promised_names)
 
 
-def test_causes_that_move_a_channel_alike_are_told_of() -> None:
+def test_causes_that_move_a_channel_alike_are_reported() -> None:
     twice = candidate("stiffens_too", "rod", size("a", 0.01))
 
     def both(i: Columns, p: Mapping[str, float]) -> Columns:
@@ -87,14 +94,14 @@ def test_causes_that_move_a_channel_alike_are_told_of() -> None:
 
     simulator = replace(SIMULATOR, run=both, candidates=(*SIMULATOR.candidates, twice))
     inputs = SIMULATOR.experiments["heavy"].inputs
-    _, told = check_simulator(simulator, [recorded(simulator, "1", run("heavy", inputs).columns)])
-    assert told is not None and told.alike == (("stiffens", "stiffens_too"),)
+    _, identifiability = check_simulator(simulator, [recorded(simulator, "1", run("heavy", inputs).columns)])
+    assert identifiability is not None and identifiability.alike == (("stiffens", "stiffens_too"),)
 
 
-def test_it_is_said_before_the_search_and_stands_in_the_report() -> None:
-    said: list[str] = []
-    found = diagnose_simulator(SIMULATOR, [run("light", LIGHT)], progress=said.append)
-    at = next(k for k, line in enumerate(said) if line.startswith("heat "))
-    assert at < said.index("fitting 1 effect jointly with the base")
-    report = found.report()["identifiability"]
+def test_it_is_reported_before_the_search_and_stands_in_the_report() -> None:
+    messages: list[str] = []
+    diagnosis = diagnose_simulator(SIMULATOR, [run("light", LIGHT)], progress=messages.append)
+    at = next(k for k, line in enumerate(messages) if line.startswith("heat "))
+    assert at < messages.index("fitting 1 effect jointly with the base")
+    report = diagnosis.report()["identifiability"]
     assert report["causes"]["heat"]["by"] == ["oven"] and not report["base"]["length"]["is_told"]

@@ -46,23 +46,23 @@ def mixed():
 
 
 def test_the_shared_cause_has_own_sizes(mixed):
-    found, _ = mixed
-    assert found.verdict == "explained" and found.causes == ("readout_lag",)
-    assert found.probability["readout_lag"] > 0.99
-    for member, tau_s in zip(found.members[:3], (0.06, 0.1, 0.14), strict=True):
+    diagnosis, _ = mixed
+    assert diagnosis.verdict == "explained" and diagnosis.causes == ("readout_lag",)
+    assert diagnosis.probability["readout_lag"] > 0.99
+    for member, tau_s in zip(diagnosis.members[:3], (0.06, 0.1, 0.14), strict=True):
         size = member.sizes["readout_lag"]["tau"]
         assert member.follows and abs(size.value - tau_s) < 0.1 * tau_s and size.low < size.value < size.high
 
 
 def test_a_unit_with_another_cause_is_an_outlier_and_one_with_a_mistake_is_left_out(mixed):
-    found, _ = mixed
-    assert found.outliers == ["other"] and found.excluded == ["bad"]
-    assert found.report()["outliers"] == ["other"]
+    diagnosis, _ = mixed
+    assert diagnosis.outliers == ["other"] and diagnosis.excluded == ["bad"]
+    assert diagnosis.report()["outliers"] == ["other"]
 
 
 def test_progress_names_every_unit(mixed):
-    found, lines = mixed
-    assert all(any(m.name in line for line in lines) for m in found.members)
+    diagnosis, lines = mixed
+    assert all(any(m.name in line for line in lines) for m in diagnosis.members)
 
 
 @dataclass
@@ -74,8 +74,8 @@ class Counted:
 
 
 def of_logs(**logs):
-    found = dict.fromkeys(map(_ids, logs))
-    return UnitSearch(Counted(), None, {_ids(name): value for name, value in logs.items()}, found)
+    members = dict.fromkeys(map(_ids, logs))
+    return UnitSearch(Counted(), None, {_ids(name): value for name, value in logs.items()}, members)
 
 
 def _ids(name):
@@ -104,8 +104,8 @@ def test_one_unit_cannot_outvote_the_lot_by_more_than_the_stated_factor():
 
 def test_what_an_equation_leaves_in_every_unit_is_no_surer_for_being_repeated():
     def unit(chi2, other):
-        left = {("creep",): (chi2, 60.0), ("relaxation",): (other, 60.0)}
-        return UnitSearch(Counted(1000), Yardstick(900.0, 500.0), {}, {}, left)
+        misfits = {("creep",): (chi2, 60.0), ("relaxation",): (other, 60.0)}
+        return UnitSearch(Counted(1000), Yardstick(900.0, 500.0), {}, {}, misfits)
 
     one, six = (joint_logs([unit(1400.0, 1900.0)] * count, [("creep",), ("relaxation",)]) for count in (1, 6))
     assert six[("creep",)] - six[("relaxation",)] == pytest.approx(one[("creep",)] - one[("relaxation",)], rel=0.05)
@@ -113,14 +113,14 @@ def test_what_an_equation_leaves_in_every_unit_is_no_surer_for_being_repeated():
 
 def test_within_the_noise_every_unit_counts_and_a_cheaper_cause_counts_once():
     def unit():
-        left = {("creep",): (1000.0, 60.0), ("relaxation",): (1003.0, 64.0)}
-        return UnitSearch(Counted(1000), Yardstick(1000.0, 0.0), {}, {}, left)
+        misfits = {("creep",): (1000.0, 60.0), ("relaxation",): (1003.0, 64.0)}
+        return UnitSearch(Counted(1000), Yardstick(1000.0, 0.0), {}, {}, misfits)
 
     logs = joint_logs([unit() for _ in range(5)], [("creep",), ("relaxation",)])
     assert logs[("creep",)] - logs[("relaxation",)] == pytest.approx(0.5 * (5 * 3.0 + 4.0), rel=0.05)
 
 
-def test_a_lot_of_one_unit_is_told():
+def test_a_lot_of_one_unit_is_reported():
     with pytest.raises(InputError):
         diagnose_lot({"u": make_unit("U", 1)})
 
@@ -151,6 +151,6 @@ def as_case(sealed):
 def test_the_lot_parts_causes_that_one_unit_cannot():
     # Pressed at one speed only, the first unit's lag may as well be another cause.
     lot = draw_lot(7307, "one_speed", 4)
-    found = diagnose_lot({sealed.name: as_case(sealed) for sealed in lot})
-    assert found.members[0].diagnosis.verdict == "ambiguous"
-    assert found.verdict == "explained" and found.causes == ("readout_lag",)
+    diagnosis = diagnose_lot({sealed.name: as_case(sealed) for sealed in lot})
+    assert diagnosis.members[0].diagnosis.verdict == "ambiguous"
+    assert diagnosis.verdict == "explained" and diagnosis.causes == ("readout_lag",)

@@ -25,7 +25,7 @@ def slide(inputs, p):
     return {"force": p["mass"] * inputs["a"] + p["viscous"] * v + rubbing}
 
 
-def room(inputs, p):
+def warm_room(inputs, p):
     t_s, out, warm = inputs["t_s"], np.empty(len(inputs["t_s"])), p["start"]
     for n, step in enumerate(np.diff(t_s, append=t_s[-1])):
         out[n] = warm
@@ -46,9 +46,9 @@ SLIDE = Simulator(
     (Parameter("mass", "kg", 0.0, 50.0, 1.0), Parameter("viscous", "N·s/m", -50.0, 50.0, 1.0)),
     (of("rubbing", 50.0, 1.0), of("drag", 50.0, 0.5)),
 )
-ROOM = Simulator(
+WARM_ROOM = Simulator(
     "room",
-    room,
+    warm_room,
     ("power_W",),
     ("warm_C",),
     (
@@ -77,12 +77,12 @@ def slides(seed: int) -> list[Table]:
 MOTION = ((np.sin, 0), (np.cos, 1), (lambda x: -np.cos(x), -1))
 
 
-def rooms(seed: int) -> list[Table]:
+def make_rooms(seed: int) -> list[Table]:
     rng, out = np.random.default_rng(seed), []
     for _ in range(4):
         t_s, power_W = 2.0 * np.arange(200), np.repeat(rng.uniform(0.0, 40.0, 10), 20)
         p = {"gain": 0.03, "loss": 0.012, "start": 20.0, "draught.size": 0.6}
-        warm_C = room({"t_s": t_s, "power_W": power_W}, p)["warm_C"] + rng.normal(0.0, 0.05, len(t_s))
+        warm_C = warm_room({"t_s": t_s, "power_W": power_W}, p)["warm_C"] + rng.normal(0.0, 0.05, len(t_s))
         out.append({"t_s": t_s, "power_W": power_W, "warm_C": warm_C})
     return out
 
@@ -101,7 +101,7 @@ def with_samples(name: str, at, value: float | None) -> Callable[[Table], Table]
 
 
 THREE, BUFFER = [40, 130, 300], slice(240, 260)
-SPOILT: dict[str, tuple[Callable[[Table], Table], tuple[str, str]]] = {
+MISTAKES: dict[str, tuple[Callable[[Table], Table], tuple[str, str]]] = {
     "sign of the force": (set_to("force", lambda t: -t["force"]), ("sign", "force")),
     "sign of the speed": (set_to("v", lambda t: -t["v"]), ("sign", "v")),
     "two columns": (lambda t: t | {"v": t["force"], "force": t["v"]}, ("swapped_columns", "v+force")),
@@ -112,7 +112,7 @@ SPOILT: dict[str, tuple[Callable[[Table], Table], tuple[str, str]]] = {
 }
 
 
-def spoilt(tables: list[Table], at: int, spoil: Callable[[Table], Table]) -> list[Table]:
+def with_mistake(tables: list[Table], at: int, spoil: Callable[[Table], Table]) -> list[Table]:
     return [spoil(table) if k == at else table for k, table in enumerate(tables)]
 
 
@@ -124,35 +124,37 @@ SEEDS = layered(range(701, 706), (701,))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", SPOILT)
+@pytest.mark.parametrize("name", MISTAKES)
 def test_one_run_that_was_recorded_otherwise_is_named_beside_a_gap(name: str, seed: int) -> None:
-    spoil, (what, channel) = SPOILT[name]
-    mistakes, told = check_simulator(SLIDE, recordings(SLIDE, spoilt(slides(seed), seed % 4, spoil)))
+    spoil, (what, channel) = MISTAKES[name]
+    mistakes, identifiability = check_simulator(SLIDE, recordings(SLIDE, with_mistake(slides(seed), seed % 4, spoil)))
     assert [(m.what, m.channel, m.runs) for m in mistakes] == [(what, channel, (seed % 4 + 1,))]
-    assert told is None
+    assert identifiability is None
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_buffer_that_repeats_is_asked_about_with_its_time(seed: int) -> None:
     spoil = with_samples("force", BUFFER, None)
-    mistakes, told = check_simulator(SLIDE, recordings(SLIDE, spoilt(slides(seed), seed % 4, spoil)))
+    mistakes, identifiability = check_simulator(SLIDE, recordings(SLIDE, with_mistake(slides(seed), seed % 4, spoil)))
     assert [(m.what, m.channel, m.runs) for m in mistakes] == [("repeats", "force", (seed % 4 + 1,))]
-    assert told is not None and "from 2.4 to 2.59 s" in str(mistakes[0].evidence)
+    assert identifiability is not None and "from 2.4 to 2.59 s" in str(mistakes[0].evidence)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("unit", "factor", "offset"), [("°F", 1.8, 32.0), ("K", 1.0, 273.15)])
 def test_one_run_in_another_unit_of_temperature_is_named(unit: str, factor: float, offset: float, seed: int) -> None:
     spoil = set_to("warm_C", lambda t: factor * t["warm_C"] + offset)
-    mistakes, told = check_simulator(ROOM, recordings(ROOM, spoilt(rooms(seed), seed % 4, spoil)))
+    mistakes, identifiability = check_simulator(
+        WARM_ROOM, recordings(WARM_ROOM, with_mistake(make_rooms(seed), seed % 4, spoil))
+    )
     assert [(m.what, m.channel, m.runs) for m in mistakes] == [("unit_factor", "warm_C", (seed % 4 + 1,))]
-    assert told is None and unit in str(mistakes[0].repair)
+    assert identifiability is None and unit in str(mistakes[0].repair)
 
 
 @pytest.mark.parametrize("seed", layered(range(711, 723), (711, 712)))
 def test_sound_runs_with_a_gap_hold_no_mistake(seed: int) -> None:
     assert check_simulator(SLIDE, recordings(SLIDE, slides(seed)))[0] == ()
-    assert check_simulator(ROOM, recordings(ROOM, rooms(seed)))[0] == ()
+    assert check_simulator(WARM_ROOM, recordings(WARM_ROOM, make_rooms(seed)))[0] == ()
 
 
 def test_a_kick_that_is_meant_is_no_mistake() -> None:
@@ -168,7 +170,7 @@ def test_a_kick_that_is_meant_is_no_mistake() -> None:
 READOUT = ReadoutMetadata(3.3, 14, 10.0, 50.0)
 
 
-def pressed(seed: int) -> list[Run]:
+def press_runs(seed: int) -> list[Run]:
     rng = np.random.default_rng(seed)
     rig = Twin(BaseParameters(kappa_per_N=0.06), (EffectSetting("channel_creep", {"c": 0.1, "tau": 3.0}),), READOUT)
     runs = []
@@ -182,20 +184,22 @@ def pressed(seed: int) -> list[Run]:
 
 @pytest.mark.parametrize(("unit", "factor", "offset"), [("°F", 1.8, 32.0), ("K", 1.0, 273.15)])
 def test_a_run_of_a_sensor_with_another_unit_of_temperature_is_named(unit: str, factor: float, offset: float) -> None:
-    runs = pressed(1)
+    runs = press_runs(1)
     warm = np.asarray(runs[1].temperature_C) * factor + offset
     runs[1] = Run("2", runs[1].t_s, READOUT, runs[1].stage_mm, runs[1].force_N, runs[1].output_V, warm)
-    mistakes, told = check_case(Case("T", tuple(runs)), TWIN)
+    mistakes, identifiability = check_case(Case("T", tuple(runs)), TWIN)
     assert [(m.what, m.channel, m.runs) for m in mistakes] == [("unit_factor", "temperature", (2,))]
-    assert told is None and unit in str(mistakes[0].repair)
+    assert identifiability is None and unit in str(mistakes[0].repair)
 
 
 def test_a_code_that_a_buffer_repeats_while_the_stage_moves_is_asked_about() -> None:
-    runs = pressed(2)
+    runs = press_runs(2)
     output_V = np.asarray(runs[2].output_V).copy()
     moving = int(np.argmax(np.asarray(runs[2].stage_mm) > 1.2))
     output_V[moving : moving + 20] = output_V[moving]
     runs[2] = Run("3", runs[2].t_s, READOUT, runs[2].stage_mm, runs[2].force_N, output_V, runs[2].temperature_C)
-    mistakes, told = check_case(Case("T", tuple(runs)), TWIN)
-    assert [(m.what, m.channel, m.runs) for m in mistakes] == [("repeats", "output_V", (3,))] and told is not None
-    assert check_case(Case("T", tuple(pressed(2))), TWIN)[0] == ()
+    mistakes, identifiability = check_case(Case("T", tuple(runs)), TWIN)
+    assert [(m.what, m.channel, m.runs) for m in mistakes] == [
+        ("repeats", "output_V", (3,))
+    ] and identifiability is not None
+    assert check_case(Case("T", tuple(press_runs(2))), TWIN)[0] == ()

@@ -31,30 +31,32 @@ STEP_s = 0.02
 
 
 def _fading(rng: np.random.Generator, count: int, spread: float, fading_s: float) -> Array:
-    keep = np.exp(-STEP_s / fading_s)
-    kicks = rng.normal(0.0, spread * np.sqrt(1.0 - keep**2), count)
+    decay = np.exp(-STEP_s / fading_s)
+    kicks = rng.normal(0.0, spread * np.sqrt(1.0 - decay**2), count)
     kicks[0] = rng.normal(0.0, spread)
-    return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
+    return np.asarray(lfilter([1.0], [1.0, -decay], kicks))
 
 
-def _covariance(count: int, white: float, colour: NoiseCorrelation) -> Array:
-    fade = colour.spread**2 * np.exp(-STEP_s * np.arange(count) / colour.fading_s)
+def _covariance(count: int, white: float, correlation: NoiseCorrelation) -> Array:
+    fade = correlation.spread**2 * np.exp(-STEP_s * np.arange(count) / correlation.fading_s)
     return np.asarray(toeplitz(fade) + white**2 * np.eye(count))
 
 
 @pytest.mark.parametrize("left_out", [0, 37])
 def test_likelihood_and_whitening_are_those_of_the_whole_covariance(left_out: int) -> None:
-    rng, count, white, colour = np.random.default_rng(3), 200, 0.7, NoiseCorrelation(1.3, 0.3)
-    values, use = rng.normal(size=count), np.ones(count)
-    use[rng.permutation(count)[:left_out]] = 0.0
-    seen = use > 0.0
-    factor = cholesky(_covariance(count, white, colour)[np.ix_(seen, seen)], lower=True)
+    rng, count, white, correlation = np.random.default_rng(3), 200, 0.7, NoiseCorrelation(1.3, 0.3)
+    values, weights = rng.normal(size=count), np.ones(count)
+    weights[rng.permutation(count)[:left_out]] = 0.0
+    rows = weights > 0.0
+    factor = cholesky(_covariance(count, white, correlation)[np.ix_(rows, rows)], lower=True)
     step_s = np.full(count, STEP_s)
-    found = filtered(values, filter_of(np.full(count, white), use, step_s, colour.spread, colour.fading_s))
-    assert found[seen] == pytest.approx(solve_triangular(factor, values[seen], lower=True), abs=1e-9)
-    assert np.all(found[~seen] == 0.0)
-    exact = -0.5 * (values[seen] @ cho_solve((factor, True), values[seen])) - float(np.sum(np.log(np.diag(factor))))
-    assert log_likelihood([Stretch(values, step_s, use)], white, colour) == pytest.approx(exact, rel=1e-9)
+    whitened = filtered(
+        values, filter_of(np.full(count, white), weights, step_s, correlation.spread, correlation.fading_s)
+    )
+    assert whitened[rows] == pytest.approx(solve_triangular(factor, values[rows], lower=True), abs=1e-9)
+    assert np.all(whitened[~rows] == 0.0)
+    exact = -0.5 * (values[rows] @ cho_solve((factor, True), values[rows])) - float(np.sum(np.log(np.diag(factor))))
+    assert log_likelihood([Stretch(values, step_s, weights)], white, correlation) == pytest.approx(exact, rel=1e-9)
 
 
 @pytest.mark.parametrize("fading_s", [0.1, 0.5, 2.0])
@@ -63,11 +65,11 @@ def test_noise_is_read_as_it_was_made(fading_s: float) -> None:
     parts = [
         Stretch(_fading(rng, 2000, 2.0, fading_s) + rng.normal(0.0, 1.0, 2000), step_s, np.ones(2000)) for _ in range(6)
     ]
-    found = read_noise(parts, NoiseCorrelationConfig())
-    assert found.white == pytest.approx(1.0, rel=0.05)
-    assert found.correlation.spread == pytest.approx(2.0, rel=0.25)
-    assert found.correlation.fading_s == pytest.approx(fading_s, rel=0.5)
-    assert found.gain > 100.0
+    noise = read_noise(parts, NoiseCorrelationConfig())
+    assert noise.white == pytest.approx(1.0, rel=0.05)
+    assert noise.correlation.spread == pytest.approx(2.0, rel=0.25)
+    assert noise.correlation.fading_s == pytest.approx(fading_s, rel=0.5)
+    assert noise.gain > 100.0
 
 
 def test_white_noise_has_no_colour() -> None:
@@ -79,13 +81,13 @@ def test_white_noise_has_no_colour() -> None:
 
 def _case(seed: int, *effects: EffectSetting, volts: float = 0.0, newtons: float = 0.0, fading_s: float = 0.5) -> Case:
     rng, runs = np.random.default_rng(seed), []
-    pressed = (
+    press_profiles = (
         profiles.ramps([DEPTH_mm] * 3, 0.5),
         profiles.ramps([DEPTH_mm] * 8, 4.0),
         profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
         profiles.ramps([2.0, 2.9, 1.1, DEPTH_mm, 2.5], 1.3),
     )
-    for profile in pressed:
+    for profile in press_profiles:
         t_s, stage_mm = profile.sample(1.0 / STEP_s)
         force_N, output_V = simulate(Twin(BASE, effects, READOUT), t_s, stage_mm, rng, np.full(len(t_s), 22.0))
         force_N = force_N + _fading(rng, len(t_s), newtons, fading_s)
@@ -96,21 +98,21 @@ def _case(seed: int, *effects: EffectSetting, volts: float = 0.0, newtons: float
 
 @pytest.mark.long
 @pytest.mark.parametrize(("volts", "newtons", "fading_s"), [(0.003, 0.0, 0.5), (0.0, 0.03, 0.5), (0.004, 0.05, 0.15)])
-def test_a_rig_without_a_gap_is_told_so_whatever_the_colour_of_its_noise(
+def test_a_rig_without_a_gap_has_none_whatever_the_correlation_of_its_noise(
     volts: float, newtons: float, fading_s: float
 ) -> None:
-    found = diagnose(_case(8, volts=volts, newtons=newtons, fading_s=fading_s))
-    assert found.verdict == "no_gap"
-    floor = found.gap["output_V"].noise_floor
-    assert floor == pytest.approx(np.hypot(BASE.sigma_output_V, volts), rel=0.25)
+    diagnosis = diagnose(_case(8, volts=volts, newtons=newtons, fading_s=fading_s))
+    assert diagnosis.verdict == "no_gap"
+    noise_floor = diagnosis.gap["output_V"].noise_floor
+    assert noise_floor == pytest.approx(np.hypot(BASE.sigma_output_V, volts), rel=0.25)
 
 
 @pytest.mark.long
 def test_a_cause_is_named_through_coloured_noise() -> None:
     relaxes = EffectSetting("stress_relaxation", {"g": 0.08, "tau": 5.0})
-    found = diagnose(_case(9, relaxes, newtons=0.03))
-    assert found.verdict == "explained"
-    assert found.best.hypothesis.ids == ("stress_relaxation",)
+    diagnosis = diagnose(_case(9, relaxes, newtons=0.03))
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.best.hypothesis.ids == ("stress_relaxation",)
 
 
 def _as_noise(case: Case, spread_N: float, fading_s: float = 0.5) -> bool:
@@ -123,8 +125,8 @@ def _as_noise(case: Case, spread_N: float, fading_s: float = 0.5) -> bool:
 
 def _under_load(case: Case, newtons: Callable[[Run], Array]) -> Case:
     """The case with a force added where the sensor is pressed."""
-    pressed = (replace(r, force_N=r.force_N + newtons(r) * (r.stage_mm > BASE.u0_mm)) for r in case.runs)
-    return Case("G1", tuple(pressed))
+    loaded_runs = (replace(r, force_N=r.force_N + newtons(r) * (r.stage_mm > BASE.u0_mm)) for r in case.runs)
+    return Case("G1", tuple(loaded_runs))
 
 
 def test_what_follows_the_load_is_no_noise_however_large_noise_is_taken_to_be() -> None:
@@ -152,9 +154,9 @@ def test_what_does_not_fade_is_no_noise() -> None:
 def test_a_resistance_that_wanders_is_no_floor(seed: int) -> None:
     rng, case = np.random.default_rng(seed), _case(seed)
     walks = [replace(r, output_V=r.output_V + np.cumsum(rng.normal(0.0, 2e-4, len(r)))) for r in case.runs]
-    found = diagnose(Case("G1", tuple(walks)))
-    assert found.verdict != "no_gap"
-    assert not [c.effect for c in found.causes if c.probability > 0.5]
+    diagnosis = diagnose(Case("G1", tuple(walks)))
+    assert diagnosis.verdict != "no_gap"
+    assert not [c.effect for c in diagnosis.causes if c.probability > 0.5]
 
 
 def test_a_problem_of_white_noise_is_weighted_as_ever() -> None:

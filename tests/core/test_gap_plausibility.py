@@ -36,7 +36,7 @@ def make_case(*effects: EffectSetting, seed: int = 1, others: dict[int, BasePara
     return Case("G1", tuple(runs))
 
 
-def spoilt(case: Case, *at: int, **change: object) -> Case:
+def with_mistake(case: Case, *at: int, **change: object) -> Case:
     """Change columns of some runs, all where none is named; a value is a function of the run."""
     runs = [
         replace(run, **{name: make(run) for name, make in change.items()}) if not at or k in at else run  # type: ignore[operator]
@@ -54,7 +54,7 @@ def sound() -> Case:
     return make_case()
 
 
-SPOILT = {
+MISTAKES = {
     "output in mV": ((), {"output_V": scaled("output_V", 1e3)}, ("unit_factor", "output", 1e-3)),
     "output as codes": (
         (),
@@ -94,14 +94,14 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize("name", SPOILT)
+@pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_named_with_its_runs_and_its_repair(sound: Case, name: str) -> None:
-    at, change, (what, channel, factor) = SPOILT[name]
-    diagnosis = diagnose(spoilt(sound, *at, **change))
+    at, change, (what, channel, factor) = MISTAKES[name]
+    diagnosis = diagnose(with_mistake(sound, *at, **change))
     assert diagnosis.verdict == "data"
-    found = diagnosis.mistakes[0]
-    assert (found.what, found.channel, found.runs) == (what, channel, at)
-    assert found.factor == (None if factor is None else pytest.approx(factor, rel=0.01))
+    mistake = diagnosis.mistakes[0]
+    assert (mistake.what, mistake.channel, mistake.runs) == (what, channel, at)
+    assert mistake.factor == (None if factor is None else pytest.approx(factor, rel=0.01))
     report = diagnosis.report()
     assert report["twin"] is None and report["causes"] and not any(c["probability"] for c in report["causes"])  # type: ignore[attr-defined, union-attr]
 
@@ -111,7 +111,7 @@ def test_a_mistake_is_named_with_its_runs_and_its_repair(sound: Case, name: str)
 )
 def test_a_unit_of_the_whole_case_is_asked_about_and_diagnosed(sound: Case, channel: str, factor: float) -> None:
     name = {"force": "force_N", "stage": "stage_mm"}[channel]
-    diagnosis = diagnose(spoilt(sound, **{name: scaled(name, 1 / factor)}))
+    diagnosis = diagnose(with_mistake(sound, **{name: scaled(name, 1 / factor)}))
     assert diagnosis.verdict == "no_gap"
     assert [(f.what, f.channel, f.runs, f.factor) for f in diagnosis.mistakes] == [("unit_factor", channel, (), factor)]
     # Force and travel are both known: the pad's stiffness is what looks odd.
@@ -120,7 +120,7 @@ def test_a_unit_of_the_whole_case_is_asked_about_and_diagnosed(sound: Case, chan
 
 @pytest.mark.parametrize(("newtons", "stroke"), [(30.0, 0.5), (0.03, 0.3)], ids=["200 N", "0.2 N"])
 def test_an_unusual_pad_is_no_mistake(sound: Case, newtons: float, stroke: float) -> None:
-    pad = spoilt(sound, force_N=scaled("force_N", newtons), stage_mm=scaled("stage_mm", stroke))
+    pad = with_mistake(sound, force_N=scaled("force_N", newtons), stage_mm=scaled("stage_mm", stroke))
     assert TWIN.mistakes(pad) == () and diagnose(pad).verdict == "no_gap"
 
 
@@ -133,9 +133,9 @@ def test_lost_samples_are_no_wrong_unit(seed: int) -> None:
 
 @pytest.mark.parametrize(("ratio", "what"), [(1 / 4.44822, "unit_factor"), (1 / 3.15, "gain")])
 def test_a_unit_is_suggested_only_where_the_number_fits(sound: Case, ratio: float, what: str) -> None:
-    found = TWIN.mistakes(spoilt(sound, 2, force_N=scaled("force_N", ratio)))
-    assert [(f.what, f.runs) for f in found] == [(what, (2,))]
-    assert found[0].factor == pytest.approx(1 / ratio, rel=0.1)
+    mistakes = TWIN.mistakes(with_mistake(sound, 2, force_N=scaled("force_N", ratio)))
+    assert [(f.what, f.runs) for f in mistakes] == [(what, (2,))]
+    assert mistakes[0].factor == pytest.approx(1 / ratio, rel=0.1)
 
 
 @pytest.mark.parametrize("effect", ["mullins_softening", "readout_lag", "thermal_drift", "clock_skew"])
@@ -144,10 +144,10 @@ def test_an_effect_is_no_mistake(effect: str) -> None:
     assert diagnosis.mistakes == () and diagnosis.verdict != "data"
 
 
-def test_a_run_of_another_unit_is_told_apart() -> None:
+def test_a_run_of_another_unit_is_distinguished() -> None:
     other = BASE.with_values(k1_N_mm=1.25, r0_ohm=4.5, kappa_per_N=0.054, u0_mm=0.45)
-    found = diagnose(make_case(others={2: other})).mistakes
-    assert [(f.what, f.runs) for f in found] == [("other_unit", (2,))]
+    mistakes = diagnose(make_case(others={2: other})).mistakes
+    assert [(f.what, f.runs) for f in mistakes] == [("other_unit", (2,))]
 
 
 def test_two_runs_paired_wrongly_are_named(sound: Case) -> None:
@@ -158,22 +158,24 @@ def test_two_runs_paired_wrongly_are_named(sound: Case) -> None:
         for run in (one, other)
     ]
     swapped = (replace(short[0], force_N=short[1].force_N), replace(short[1], force_N=short[0].force_N))
-    found = TWIN.mistakes(replace(sound, runs=(swapped[0], sound.runs[1], swapped[1], sound.runs[3])))
-    assert [(f.what, f.channel, f.runs) for f in found] == [("swapped_runs", "force", (1, 3))]
+    mistakes = TWIN.mistakes(replace(sound, runs=(swapped[0], sound.runs[1], swapped[1], sound.runs[3])))
+    assert [(f.what, f.channel, f.runs) for f in mistakes] == [("swapped_runs", "force", (1, 3))]
 
 
 def test_a_gain_of_all_runs_shows_where_the_lot_states_its_stiffness(sound: Case) -> None:
     # Peak force over depth beyond contact: k1 + k3·δ² at δ = 2.75 mm.
     stiffness_N_mm = 1.1 + 0.1 * 2.75**2
-    stated = (0.93 * stiffness_N_mm, 1.07 * stiffness_N_mm)
-    heavier = spoilt(sound, force_N=scaled("force_N", 1.15))
-    assert TWIN.mistakes(replace(sound, stiffness_N_mm=stated)) == ()
+    stiffness_range = (0.93 * stiffness_N_mm, 1.07 * stiffness_N_mm)
+    heavier = with_mistake(sound, force_N=scaled("force_N", 1.15))
+    assert TWIN.mistakes(replace(sound, stiffness_N_mm=stiffness_range)) == ()
     assert TWIN.mistakes(heavier) == ()
-    assert [(f.what, f.channel) for f in TWIN.mistakes(replace(heavier, stiffness_N_mm=stated))] == [("gain", "force")]
+    assert [(f.what, f.channel) for f in TWIN.mistakes(replace(heavier, stiffness_N_mm=stiffness_range))] == [
+        ("gain", "force")
+    ]
 
 
 def test_a_stiff_pad_that_the_lot_states_is_believed(sound: Case) -> None:
-    stiff = spoilt(sound, stage_mm=scaled("stage_mm", 1 / 25.4))
+    stiff = with_mistake(sound, stage_mm=scaled("stage_mm", 1 / 25.4))
     assert TWIN.mistakes(replace(stiff, stiffness_N_mm=(1.0, 3.0)))[0].what == "unit_factor"
     assert suspect_units(stiff, METHOD.mistake)[0].what == "unit_factor"
     believed = replace(stiff, stiffness_N_mm=(40.0, 60.0))

@@ -32,13 +32,13 @@ from tests.core.linear_mechanism import (
 SIZE, WIDTH = Parameter("size", "", -50.0, 50.0, 0.2, neutral=0.0), 0.5
 
 
-def with_rest(size, bend=0.5, seed=5):
+def with_rest(size, curvature=0.5, seed=5):
     """Recorded runs of a line that moves smoothly, bent or not, with a cube that no candidate has."""
     rng, runs = np.random.default_rng(seed), []
     for run, count in enumerate((160, 171, 148)):
         t_s = 0.05 * np.arange(count)
         x = 0.3 * run - 0.2 + (1.5 + 0.2 * run) * np.sin(t_s * (0.9 + 0.3 * run))
-        y = 1.0 + 2.0 * x + bend * x**2 + size * x**3 + rng.normal(0.0, SIGMA, count)
+        y = 1.0 + 2.0 * x + curvature * x**2 + size * x**3 + rng.normal(0.0, SIGMA, count)
         runs.append(recorded(LINE, str(run + 1), {"t_s": t_s, "x": x, "y": y}))
     return runs
 
@@ -59,50 +59,53 @@ def test_a_cause_beside_a_rest_is_named_and_the_list_is_not_complete(in_part):
 
 def test_every_section_is_of_one_set(in_part):
     report = in_part.report()
-    held = {c["effect"] for c in report["causes"] if c["shrink"] is not None}
-    assert held == set(report["partial"]["effects"]) == set(in_part.best.ids)
+    named_causes = {c["effect"] for c in report["causes"] if c["shrink"] is not None}
+    assert named_causes == set(report["partial"]["effects"]) == set(in_part.best.ids)
     off = LINE.neutral_values
-    assert {n.partition(".")[0] for n, v in report["parameters"].items() if n in off and v != off[n]} == held
-    places = report["where"][: len(held) + 1]
-    assert {place["stage"] for place in places} == {f"part of {cause}" for cause in held} | {"unknown"}
-    assert sum(place["share"] for place in places) == pytest.approx(1.0)
-    assert places[-1]["share"] == pytest.approx(1.0 - report["partial"]["share"])
+    assert {n.partition(".")[0] for n, v in report["parameters"].items() if n in off and v != off[n]} == named_causes
+    locations = report["where"][: len(named_causes) + 1]
+    assert {location["stage"] for location in locations} == {f"part of {cause}" for cause in named_causes} | {"unknown"}
+    assert sum(location["share"] for location in locations) == pytest.approx(1.0)
+    assert locations[-1]["share"] == pytest.approx(1.0 - report["partial"]["share"])
     value = next(c for c in report["causes"] if c["effect"] == "bend")["parameters"]["size"]["value"]
     assert value == pytest.approx(report["parameters"]["bend.size"])
 
 
 def test_a_rest_alone_names_nothing():
-    found = diagnose_simulator(LINE, with_rest(0.15, bend=0.0))
-    assert found.verdict == "unknown" and found.list_complete < 0.05
-    assert all(c.probability < 0.5 for c in found.causes)
+    diagnosis = diagnose_simulator(LINE, with_rest(0.15, curvature=0.0))
+    assert diagnosis.verdict == "unknown" and diagnosis.list_complete < 0.05
+    assert all(c.probability < 0.5 for c in diagnosis.causes)
 
 
 def test_how_a_cause_stands_to_a_rest_is_that_of_its_algebra():
     """Of the bend's column only what the others leave counts; what each quarter of a run asks for is its own slope."""
     runs = with_rest(0.2)
-    found = fitted(problem_of(runs), BEND, RIPPLE)
+    fit = fitted(problem_of(runs), BEND, RIPPLE)
     columns, y = design(runs, "bend", "ripple"), measured(runs)
-    size = found.effect_values[0][0]
-    seen = left_of(np.delete(columns, 2, axis=1), columns[:, 2]) * size / SIGMA
-    left = left_of(columns, y) / SIGMA
-    rest = left @ left - len(y)
-    assert rest_energy(found, 0.0) == pytest.approx(rest, rel=1e-3)
-    assert rest_energy(found, 0.5) == 0.0
-    got, asked, start = consistency_of(found, "bend", rest), 0.0, 0
+    size = fit.effect_values[0][0]
+    visible = left_of(np.delete(columns, 2, axis=1), columns[:, 2]) * size / SIGMA
+    residual = left_of(columns, y) / SIGMA
+    rest = residual @ residual - len(y)
+    assert rest_energy(fit, 0.0) == pytest.approx(rest, rel=1e-3)
+    assert rest_energy(fit, 0.5) == 0.0
+    consistency, asked, start = consistency_of(fit, "bend", rest), 0.0, 0
     for run in runs:
         for part in np.array_split(np.arange(start, start + len(run)), 4):
-            asked += (seen[part] @ left[part]) ** 2 / (seen[part] @ seen[part])
+            asked += (visible[part] @ residual[part]) ** 2 / (visible[part] @ visible[part])
         start += len(run)
-    assert got.energy_share == pytest.approx(seen @ seen / (seen @ seen + rest), rel=1e-3)
-    assert got.disagreement == pytest.approx(np.sqrt(asked / (seen @ seen)), rel=1e-2)
-    beside_base = left_of(columns[:, :2], columns[:, 2]) * size / SIGMA
-    assert got.cancelled == pytest.approx(1.0 - seen @ seen / (beside_base @ beside_base), abs=1e-3)
-    assert not got.is_on_bound
+    assert consistency.energy_share == pytest.approx(visible @ visible / (visible @ visible + rest), rel=1e-3)
+    assert consistency.disagreement == pytest.approx(np.sqrt(asked / (visible @ visible)), rel=1e-2)
+    visible_over_base = left_of(columns[:, :2], columns[:, 2]) * size / SIGMA
+    assert consistency.cancelled == pytest.approx(
+        1.0 - visible @ visible / (visible_over_base @ visible_over_base), abs=1e-3
+    )
+    assert not consistency.is_on_bound
 
 
 def test_more_of_the_gap_and_less_disagreement_make_a_cause_likelier():
     chances = [
-        Consistency(taken, 0.15).genuine_chance(METHOD.presence) for taken in (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+        Consistency(explained, 0.15).genuine_chance(METHOD.presence)
+        for explained in (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
     ]
     assert chances == sorted(chances) and chances[0] == 0.0 and chances[-1] == 1.0
     chances = [Consistency(0.9, apart).genuine_chance(METHOD.presence) for apart in (0.5, 0.2, 0.1, 0.01)]
@@ -137,13 +140,13 @@ STEP = Simulator(
 def test_a_law_that_ends_on_its_bound_beside_a_rest_is_not_named():
     """A sharp edge takes the step to the least of its widths, where it takes 95 % of the gap and more."""
     runs = []
-    for run, bare in enumerate(with_rest(0.0, bend=0.0)):
+    for run, bare in enumerate(with_rest(0.0, curvature=0.0)):
         x = bare.columns["x"]
         y = bare.columns["y"] + 0.8 * np.sign(x)
         runs.append(recorded(STEP, str(run + 1), {"t_s": bare.columns["t_s"], "x": x, "y": y}))
-    found = diagnose_simulator(STEP, runs)
-    assert all(cause.probability < 0.5 for cause in found.causes)
-    assert found.list_complete < 0.5 and found.verdict == "unknown"
+    diagnosis = diagnose_simulator(STEP, runs)
+    assert all(cause.probability < 0.5 for cause in diagnosis.causes)
+    assert diagnosis.list_complete < 0.5 and diagnosis.verdict == "unknown"
     # What the law can reach is named.
     runs = [
         replace(
@@ -155,8 +158,12 @@ def test_a_law_that_ends_on_its_bound_beside_a_rest_is_not_named():
         )
         for run in runs
     ]
-    found = diagnose_simulator(STEP, runs)
-    assert found.verdict == "explained" and found.causes[0].effect == "step" and found.causes[0].probability > 0.9
+    diagnosis = diagnose_simulator(STEP, runs)
+    assert (
+        diagnosis.verdict == "explained"
+        and diagnosis.causes[0].effect == "step"
+        and diagnosis.causes[0].probability > 0.9
+    )
 
 
 def test_noise_leaves_a_list_complete_and_a_departure_outside_does_not():
@@ -168,20 +175,22 @@ def test_noise_leaves_a_list_complete_and_a_departure_outside_does_not():
 
 
 def test_a_forecast_that_its_own_samples_contradict_is_left_out():
-    assert ExplainedFraction.checked((0.0, 0.0, 0.02), 0.83, METHOD.shrink) == ExplainedFraction(None, None, None, 0.83)
-    assert ExplainedFraction.checked((0.9, 0.8, 0.95), 0.83, METHOD.shrink).predicted == 0.9
+    assert ExplainedFraction.checked((0.0, 0.0, 0.02), 0.83, METHOD.explained_fraction) == ExplainedFraction(
+        None, None, None, 0.83
+    )
+    assert ExplainedFraction.checked((0.9, 0.8, 0.95), 0.83, METHOD.explained_fraction).predicted == 0.9
 
 
 @pytest.mark.parametrize(("low", "high", "reached"), [(-50.0, 0.1, 0.1), (0.9, 50.0, 0.9), (-50.0, 50.0, None)])
-def test_a_cause_on_its_bound_is_told(low, high, reached):
+def test_a_cause_on_its_bound_is_reported(low, high, reached):
     cause = candidate("bend", "shape", Parameter("size", "", low, high, 0.2, neutral=0.0))
-    found = bounds_reached(fitted(problem_of(with_rest(0.0)), cause))
-    assert found == ({} if reached is None else {"bend.size": pytest.approx(reached)})
+    bounds_hit = bounds_reached(fitted(problem_of(with_rest(0.0)), cause))
+    assert bounds_hit == ({} if reached is None else {"bend.size": pytest.approx(reached)})
 
 
 def test_a_bound_that_switches_a_cause_off_is_none():
     cause = candidate("bend", "shape", Parameter("size", "", 0.0, 50.0, 0.2, neutral=0.0))
-    assert bounds_reached(fitted(problem_of(with_rest(0.0, bend=-0.5)), cause)) == {}
+    assert bounds_reached(fitted(problem_of(with_rest(0.0, curvature=-0.5)), cause)) == {}
 
 
 def force(inputs, p):
@@ -249,13 +258,16 @@ def experiments(count=120):
     }
 
 
-@pytest.mark.parametrize("bend", [0.0, 0.5])
-def test_the_run_that_separates_a_rest_from_every_cause_is_proposed(bend):
+@pytest.mark.parametrize("curvature", [0.0, 0.5])
+def test_the_run_that_separates_a_rest_from_every_cause_is_proposed(curvature):
     """The rest is a cube: far out it stands apart from square, wave and kink, close to 0 it does not."""
     both = experiments()
-    found = diagnose_simulator(replace(LINE, experiments=both), with_rest(0.15, bend=bend))
-    assert found.verdict in ("unknown", "explained_in_part") and found.residual is not None
-    proposed = found.next_experiment
+    diagnosis = diagnose_simulator(replace(LINE, experiments=both), with_rest(0.15, curvature=curvature))
+    assert diagnosis.verdict in ("unknown", "explained_in_part") and diagnosis.residual is not None
+    proposed = diagnosis.next_experiment
     assert proposed.profile == "long stroke" and proposed.separation_sigma > 10.0
     turned = {name: both[name] for name in reversed(both)}
-    assert diagnose_simulator(replace(LINE, experiments=turned), with_rest(0.15, bend=bend)).next_experiment == proposed
+    assert (
+        diagnose_simulator(replace(LINE, experiments=turned), with_rest(0.15, curvature=curvature)).next_experiment
+        == proposed
+    )

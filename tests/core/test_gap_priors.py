@@ -52,12 +52,12 @@ def rides(truth, simulator=CART, counts=(80, 90), noise=SIGMA):
 def test_a_mass_that_stood_on_a_scale_leaves_the_rest_to_the_payload():
     runs = rides({"payload.mass": 0.4})
     assert diagnose_simulator(CART, runs).verdict == "no_gap"
-    found = diagnose_simulator(WEIGHED, runs)
-    assert (found.verdict, found.best.ids) == ("explained", ("payload",))
-    parameters = found.report()["parameters"]
+    diagnosis = diagnose_simulator(WEIGHED, runs)
+    assert (diagnosis.verdict, diagnosis.best.ids) == ("explained", ("payload",))
+    parameters = diagnosis.report()["parameters"]
     assert parameters["mass"] == pytest.approx(1.5, abs=0.02)
     assert parameters["payload.mass"] == pytest.approx(0.4, abs=0.03)
-    assert found.report()["priors"] == {"mass": {"mean": 1.5, "sd": 0.01, "fitted": parameters["mass"]}}
+    assert diagnosis.report()["priors"] == {"mass": {"mean": 1.5, "sd": 0.01, "fitted": parameters["mass"]}}
     (untold,) = (one for one in check_simulator(CART, runs)[1].unidentifiable)
     assert untold.name == "payload" and not check_simulator(WEIGHED, runs)[1].unidentifiable
 
@@ -69,15 +69,15 @@ def test_a_prior_and_runs_add_as_in_bayes_formula():
         SimulatorModel(replace(CART, priors={"mass": (1.4, 0.05)})), Case("C1", tuple(runs)), {"F_N": SIGMA}
     )
     near = fit(problem, Hypothesis(of_all=CART.base), np.array([1.0]))
-    found = fit(problem, near.hypothesis, near.coordinates + 1e-3)
+    result = fit(problem, near.hypothesis, near.coordinates + 1e-3)
     a, y = (np.concatenate([run.columns[name] for run in runs]) for name in ("a_m_s2", "F_N"))
     precision = a @ a / SIGMA**2 + 1.0 / 0.05**2
     mean = (a @ y / SIGMA**2 + 1.4 / 0.05**2) / precision
-    assert found.coordinates[0] == pytest.approx(mean, rel=1e-6)
-    assert found.covariance[0, 0] == pytest.approx(1.0 / precision, rel=1e-6)
+    assert result.coordinates[0] == pytest.approx(mean, rel=1e-6)
+    assert result.covariance[0, 0] == pytest.approx(1.0 / precision, rel=1e-6)
     chi2 = np.sum((y - mean * a) ** 2) / SIGMA**2 + ((mean - 1.4) / 0.05) ** 2
-    assert found.chi2 == pytest.approx(chi2, rel=1e-6)
-    assert found.under(problem.with_noise({"F_N": 2.0 * SIGMA})).chi2 == pytest.approx(
+    assert result.chi2 == pytest.approx(chi2, rel=1e-6)
+    assert result.under(problem.with_noise({"F_N": 2.0 * SIGMA})).chi2 == pytest.approx(
         np.sum((y - mean * a) ** 2) / (4.0 * SIGMA**2) + ((mean - 1.4) / 0.05) ** 2, rel=1e-6
     )
     # A run that is only planned does not weigh the mass again.
@@ -110,18 +110,18 @@ def test_what_is_known_of_a_start_holds_in_every_run():
 
 def test_noise_that_is_stated_is_not_read_off_what_is_left():
     runs = rides({"rail.brake": 0.6})
-    stated = replace(CART, noise={"F_N": SIGMA})
-    base = SimulatorModel(stated).base_fit(Case("C1", tuple(runs)))
+    with_noise = replace(CART, noise={"F_N": SIGMA})
+    base = SimulatorModel(with_noise).base_fit(Case("C1", tuple(runs)))
     assert base.problem.sigma == {"F_N": SIGMA} and noise_levels(base) == {"F_N": SIGMA}
-    found = diagnose_simulator(stated, runs)
-    assert (found.verdict, found.best.ids) == ("explained", ("rail",))
-    assert found.gap["F_N"].noise_floor == SIGMA
-    assert found.mistakes == ()
+    diagnosis = diagnose_simulator(with_noise, runs)
+    assert (diagnosis.verdict, diagnosis.best.ids) == ("explained", ("rail",))
+    assert diagnosis.gap["F_N"].noise_floor == SIGMA
+    assert diagnosis.mistakes == ()
 
 
 def test_a_noise_that_is_stated_far_too_small_is_a_question():
-    found = diagnose_simulator(replace(CART, noise={"F_N": SIGMA / 4.0}), rides({}))
-    (question,) = found.mistakes
+    diagnosis = diagnose_simulator(replace(CART, noise={"F_N": SIGMA / 4.0}), rides({}))
+    (question,) = diagnosis.mistakes
     assert (question.what, question.channel) == ("noise", "F_N")
     assert "0.0125" in str(question.evidence) and "F_N" in str(question.repair)
 
@@ -141,12 +141,12 @@ PUMP = Simulator(
 )
 
 
-def pumped(simulator, bend=0.0, first_s=1.0):
+def pumped(simulator, curvature=0.0, first_s=1.0):
     rng, out = np.random.default_rng(8), []
     for k in range(2):
         t_s = 3.0 + 0.02 * np.arange(200)
         drive = 1.0 + np.sin((2.0 + k) * t_s)
-        flow = 2.0 * drive + bend * drive**2
+        flow = 2.0 * drive + curvature * drive**2
         flow = np.where(t_s - t_s[0] < first_s, 0.5 * flow, flow) + rng.normal(0.0, 0.01, len(t_s))
         out.append(recorded(simulator, str(k + 1), {"t_s": t_s, "drive": drive, "flow": flow}))
     return out
@@ -157,15 +157,15 @@ def test_a_start_that_is_skipped_is_simulated_and_not_compared():
     skipping = replace(PUMP, skip_s=1.0)
     runs = pumped(skipping)
     assert [len(run) for run in runs] == [150, 150] and runs[0].t_s[0] == pytest.approx(4.0)
-    found = diagnose_simulator(skipping, runs)
-    assert (found.verdict, found.best.ids) == ("no_gap", ())
+    diagnosis = diagnose_simulator(skipping, runs)
+    assert (diagnosis.verdict, diagnosis.best.ids) == ("no_gap", ())
     lengths = []
 
     def spying(inputs, p):
         lengths.append(len(inputs["t_s"]))
         return start_up(inputs, p)
 
-    bent = diagnose_simulator(replace(skipping, run=spying), pumped(skipping, bend=0.3))
+    bent = diagnose_simulator(replace(skipping, run=spying), pumped(skipping, curvature=0.3))
     assert (bent.verdict, bent.best.ids) == ("explained", ("bend",)) and set(lengths) == {200}
 
 
@@ -182,9 +182,9 @@ def test_a_run_with_a_start_that_is_skipped_is_held_against_the_others_as_a_whol
         flow = 5.0 + 2.0 * np.cumsum(drive) * 0.02 + rng.normal(0.0, 0.01, len(t_s))
         columns = {"t_s": t_s, "drive": drive / (25.4 if k == 2 else 1.0), "flow": flow}
         runs.append(recorded(simulator, str(k + 1), columns))
-    found = diagnose_simulator(simulator, runs)
-    (mistake,) = found.mistakes
-    assert (found.verdict, mistake.channel, mistake.runs, mistake.factor) == ("data", "drive", (3,), 25.4)
+    diagnosis = diagnose_simulator(simulator, runs)
+    (mistake,) = diagnosis.mistakes
+    assert (diagnosis.verdict, mistake.channel, mistake.runs, mistake.factor) == ("data", "drive", (3,), 25.4)
 
 
 def test_terms_stand_where_the_run_is_compared():
@@ -196,7 +196,7 @@ def test_terms_stand_where_the_run_is_compared():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"priors": {"mas": (1.0, 0.1)}}, "priors has mas; one of mass"),
         ({"priors": {"mass": (1.0, 0.0)}}, "a deviation above 0"),
@@ -206,8 +206,8 @@ def test_terms_stand_where_the_run_is_compared():
         ({"skip_s": -1.0}, "seconds from 0"),
     ],
 )
-def test_what_is_stated_wrongly_is_refused_in_one_line(wrong, said):
-    with pytest.raises(InputError, match=said):
+def test_what_is_stated_wrongly_is_refused_in_one_line(wrong, message):
+    with pytest.raises(InputError, match=message):
         replace(CART, **wrong)
 
 
@@ -217,10 +217,10 @@ def test_a_run_that_is_skipped_nearly_whole_is_refused():
 
 
 def test_several_calls_are_asked_at_once_and_give_the_same_diagnosis():
-    asked, alone_asked = [], []
+    batch_sizes, alone_asked = [], []
 
     def many(calls):
-        asked.append(len(calls))
+        batch_sizes.append(len(calls))
         return [weigh(inputs, parameters) for inputs, parameters in calls]
 
     def one(inputs, p):
@@ -229,11 +229,11 @@ def test_several_calls_are_asked_at_once_and_give_the_same_diagnosis():
 
     runs = rides({"rail.brake": 0.6})
     alone, at_once = diagnose_simulator(CART, runs), diagnose_simulator(replace(CART, run=one, run_many=many), runs)
-    reports = [found.report() for found in (at_once, alone)]
+    reports = [diagnosis.report() for diagnosis in (at_once, alone)]
     # What is asked for in one go may not all be needed.
     assert reports[0].pop("calls") >= reports[1].pop("calls") >= 2 * 60
     assert reports[0] == reports[1]
-    assert max(asked) >= 2 * 30 and sum(asked) > sum(alone_asked)
+    assert max(batch_sizes) >= 2 * 30 and sum(batch_sizes) > sum(alone_asked)
 
 
 def test_a_call_that_fails_among_several_is_counted_and_avoided():

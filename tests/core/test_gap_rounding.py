@@ -11,9 +11,9 @@ STEP_V = 0.005
 @pytest.mark.parametrize("noise", [0.08, 0.2, 0.4])
 def test_the_mean_code_is_that_of_rounded_noise(noise):
     clean_V = np.linspace(1.0, 1.0 + 2 * STEP_V, 23)
-    drawn = np.random.default_rng(1).normal(0.0, noise * STEP_V, (40_000, 1))
-    codes = np.round((clean_V + drawn) / STEP_V) * STEP_V
-    tolerance = 5 * STEP_V * 0.5 / np.sqrt(len(drawn))
+    noise_V = np.random.default_rng(1).normal(0.0, noise * STEP_V, (40_000, 1))
+    codes = np.round((clean_V + noise_V) / STEP_V) * STEP_V
+    tolerance = 5 * STEP_V * 0.5 / np.sqrt(len(noise_V))
     np.testing.assert_allclose(mean_code_V(clean_V, noise * STEP_V, STEP_V), codes.mean(axis=0), atol=tolerance)
 
 

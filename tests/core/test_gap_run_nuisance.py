@@ -52,8 +52,8 @@ class Plant:
     def run(self, inputs: Columns, p: Mapping[str, float]) -> Columns:
         u = np.interp(T - p["early_input.delay"], T, inputs["u"])
         u = u + p["cubic.a"] * u**3 - np.clip(u, -p["dead_band.width"], p["dead_band.width"])
-        keep = np.exp(-STEP_s / p["tau"])
-        y = p["gain"] * lfilter([1.0 - keep], [1.0, -keep], u)
+        decay = np.exp(-STEP_s / p["tau"])
+        y = p["gain"] * lfilter([1.0 - decay], [1.0, -decay], u)
         if "rate" in self.has:
             swing = np.exp((-0.4 + 2j * np.pi * p["rate"]) * STEP_s)
             poles = [1.0, -2.0 * swing.real, abs(swing) ** 2]
@@ -66,8 +66,8 @@ class Plant:
 
     @property
     def has(self) -> set[str]:
-        drawn = self.rng.random(3) < 0.5
-        return {name for name, is_in in zip(("rate", "zero", "bent"), drawn, strict=True) if is_in}
+        choices = self.rng.random(3) < 0.5
+        return {name for name, is_in in zip(("rate", "zero", "bent"), choices, strict=True) if is_in}
 
     @property
     def simulator(self) -> Simulator:
@@ -77,11 +77,11 @@ class Plant:
             Parameter("rate", "Hz", 0.1, 2.0, 0.5),
             Parameter("zero", "1", -5.0, 5.0, 0.1),
         ]
-        kept = tuple(p for p in base if p.name in {"tau", "gain", *self.has})
+        selected = tuple(p for p in base if p.name in {"tau", "gain", *self.has})
         allowed = {"y": {"zero": 0.3, "gain": 0.08, "delay": 0.2, "drift": 0.02}}
-        return Simulator("a plant", self.run, ("u",), ("y",), kept, CANDIDATES, per_run=allowed)
+        return Simulator("a plant", self.run, ("u",), ("y",), selected, CANDIDATES, per_run=allowed)
 
-    def recorded(self, noise: float, is_straight: bool, hidden: Mapping[str, float]) -> list[SimulatorRun]:
+    def recorded(self, noise: float, is_linear: bool, hidden: Mapping[str, float]) -> list[SimulatorRun]:
         """Return recordings; the clock of each is late, as a curve would be or along straight lines between samples."""
         rng = self.rng
         truth = {f"{c.id}.{p.name}": 0.0 for c in CANDIDATES for p in c.parameters}
@@ -94,7 +94,7 @@ class Plant:
             y = self.run({"u": u}, truth)["y"]
             late_s, more = rng.uniform(0.0, 0.1), rng.normal(0.0, 0.015)
             at_s = np.maximum(T - late_s, 0.0)
-            y = (np.interp(at_s, T, y) if is_straight else CubicSpline(T, y)(at_s)) * (1.0 + more)
+            y = (np.interp(at_s, T, y) if is_linear else CubicSpline(T, y)(at_s)) * (1.0 + more)
             y = y + rng.normal(0.0, 0.05) + rng.normal(0.0, 0.002) * T + rng.normal(0.0, noise, len(T))
             out.append(recorded(self.simulator, str(run + 1), {"t_s": T, "u": u, "y": y}))
         return out
@@ -104,13 +104,13 @@ CAUSES = {"none": {}, "cubic": {"cubic.a": 0.15}, "slow_part": {"slow_part.share
 CAUSES["long_delay"] = {"late.delay": 0.6}
 
 
-def named(found: Diagnosis) -> set[str]:
-    return {c.effect for c in found.causes if c.probability > 0.5}
+def likely_causes(diagnosis: Diagnosis) -> set[str]:
+    return {c.effect for c in diagnosis.causes if c.probability > 0.5}
 
 
-def diagnosed(seed: int, noise: float, is_straight: bool, hidden: str) -> Diagnosis:
+def diagnosed(seed: int, noise: float, is_linear: bool, hidden: str) -> Diagnosis:
     plant = Plant(seed)
-    return diagnose_simulator(plant.simulator, plant.recorded(noise, is_straight, CAUSES[hidden]))
+    return diagnose_simulator(plant.simulator, plant.recorded(noise, is_linear, CAUSES[hidden]))
 
 
 def only_for(seed: int) -> object:
@@ -120,36 +120,36 @@ def only_for(seed: int) -> object:
 @pytest.mark.parametrize("hidden", ["none", "cubic", "late"])
 @pytest.mark.parametrize("seed", [only_for(seed) for seed in range(TUNED.stop, 14)])
 def test_what_runs_may_have_of_their_own_is_no_cause_and_hides_no_other(seed: int, hidden: str) -> None:
-    found = diagnosed(seed, 0.004, False, hidden)
+    diagnosis = diagnosed(seed, 0.004, False, hidden)
     true = {hidden} - {"none", *ALIASES}
-    assert (named(found), found.verdict) == (true, "explained" if true else "no_gap")
+    assert (likely_causes(diagnosis), diagnosis.verdict) == (true, "explained" if true else "no_gap")
 
 
 @pytest.mark.parametrize("hidden", ["none", "cubic", "slow_part", "late"])
 @pytest.mark.parametrize("seed", [only_for(seed) for seed in range(TUNED.stop, 10)])
-def test_a_clock_that_is_late_along_straight_lines_is_no_cause_and_hides_no_other(seed: int, hidden: str) -> None:
+def test_a_clock_that_is_late_along_linear_segments_is_no_cause_and_hides_no_other(seed: int, hidden: str) -> None:
     """Straight lines between samples are off a curve by many times this noise."""
-    found = diagnosed(seed, 0.0005, True, hidden)
-    assert not any(found.identifiability[alias].is_identifiable for alias in ALIASES)
+    diagnosis = diagnosed(seed, 0.0005, True, hidden)
+    assert not any(diagnosis.identifiability[alias].is_identifiable for alias in ALIASES)
     true = {hidden} - {"none", *ALIASES}
-    assert (named(found), found.verdict) == (true, "explained" if true else "no_gap")
+    assert (likely_causes(diagnosis), diagnosis.verdict) == (true, "explained" if true else "no_gap")
 
 
 def blind(seed: int) -> Diagnosis:
     """Diagnose a plant whose cause no candidate describes; a dead band bends as its cube does."""
     plant = Plant(seed)
-    kept = tuple(c for c in CANDIDATES if c.id != "cubic")
-    bare = replace(plant.simulator, candidates=kept, run=lambda i, p: plant.run(i, {"cubic.a": 0.0, **p}))
+    selected = tuple(c for c in CANDIDATES if c.id != "cubic")
+    bare = replace(plant.simulator, candidates=selected, run=lambda i, p: plant.run(i, {"cubic.a": 0.0, **p}))
     return diagnose_simulator(bare, plant.recorded(0.004, False, CAUSES["cubic"]))
 
 
 @pytest.mark.parametrize("seed", [300, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(301, 306))])
 def test_a_gap_that_no_candidate_takes_down_to_the_noise_is_unknown(seed: int) -> None:
-    found = blind(seed)
-    assert (found.verdict, named(found)) == ("unknown", set())
+    diagnosis = blind(seed)
+    assert (diagnosis.verdict, likely_causes(diagnosis)) == ("unknown", set())
 
 
 @pytest.mark.long
 def test_a_delay_beyond_what_runs_may_have_is_a_cause() -> None:
-    found = diagnosed(9, 0.004, False, "long_delay")
-    assert not found.identifiability["late"].is_run_nuisance and named(found) & {"late", "early_input"}
+    diagnosis = diagnosed(9, 0.004, False, "long_delay")
+    assert not diagnosis.identifiability["late"].is_run_nuisance and likely_causes(diagnosis) & {"late", "early_input"}

@@ -44,9 +44,9 @@ def runs_of(leak):
 
 @pytest.mark.parametrize(("leak", "verdict", "causes"), [(0.0, "no_gap", ()), (0.06, "explained", ("leak",))])
 def test_runs_from_different_levels_are_fitted_from_their_own(leak, verdict, causes):
-    found = diagnose_simulator(TANK, runs_of(leak))
-    assert (found.verdict, found.best.ids) == (verdict, causes)
-    parameters = found.report()["parameters"]
+    diagnosis = diagnose_simulator(TANK, runs_of(leak))
+    assert (diagnosis.verdict, diagnosis.best.ids) == (verdict, causes)
+    parameters = diagnosis.report()["parameters"]
     for name, start in STARTS.items():
         assert parameters[f"start@{name}"] == pytest.approx(start, abs=0.02)
     assert parameters["leak.rate"] == pytest.approx(leak, abs=0.003)

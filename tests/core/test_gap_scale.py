@@ -44,12 +44,12 @@ QUICK = ("none", "loadcell_nonlinearity")
 
 def _case(*effects: EffectSetting) -> Case:
     rng, runs = np.random.default_rng(2), []
-    pressed = (
+    press_profiles = (
         profiles.ramps([DEPTH_mm] * 3, 0.5),
         profiles.ramps([DEPTH_mm] * 8, 4.0),
         profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
     )
-    for profile in pressed:
+    for profile in press_profiles:
         t_s, stage_mm = profile.sample(50.0)
         warm_C = 22.0 + 3.0 * (1.0 - np.exp(-t_s / 10.0)) + 0.3 * np.sin(t_s / 3.0)
         force_N, output_V = simulate(Twin(BASE, effects, READOUT), t_s, stage_mm, rng, warm_C)
@@ -65,30 +65,38 @@ def scaled(case: Case, force: float, stroke: float, volts: float, ohms: float) -
     return Case(case.serial, tuple(runs))
 
 
-def _said(case: Case) -> dict[str, Any]:
-    found = diagnose(case)
-    told = {"verdict": found.verdict, "named": found.best.hypothesis.ids, "explained": found.explained_share}
-    told |= {c.effect: c.probability for c in found.causes} | {f"{c.effect}: shrink": c.shrink for c in found.causes}
+def _summarise(case: Case) -> dict[str, Any]:
+    diagnosis = diagnose(case)
+    summary = {
+        "verdict": diagnosis.verdict,
+        "named": diagnosis.best.hypothesis.ids,
+        "explained": diagnosis.explained_share,
+    }
+    summary |= {c.effect: c.probability for c in diagnosis.causes} | {
+        f"{c.effect}: shrink": c.shrink for c in diagnosis.causes
+    }
     return (
-        told | vars(found.explained_fraction) | {f"{p.stage} {p.channel} {p.regime}": p.share for p in found.locations}
+        summary
+        | vars(diagnosis.explained_fraction)
+        | {f"{p.stage} {p.channel} {p.regime}": p.share for p in diagnosis.locations}
     )
 
 
 @cache
 def _first(name: str) -> dict[str, Any]:
-    return _said(_case(*CASES[name]))
+    return _summarise(_case(*CASES[name]))
 
 
 def _agrees(name: str, factors: tuple[float, ...]) -> None:
-    found, first = _said(scaled(_case(*CASES[name]), *factors)), _first(name)
-    assert set(found) == set(first)
+    summary, first = _summarise(scaled(_case(*CASES[name]), *factors)), _first(name)
+    assert set(summary) == set(first)
     for key, value in first.items():
         # What a power of ten rounds off differently moves a fit in its tenth digit; kinked effects carry it further.
-        assert found[key] == (pytest.approx(value, abs=1e-4) if isinstance(value, float) else value), key
+        assert summary[key] == (pytest.approx(value, abs=1e-4) if isinstance(value, float) else value), key
 
 
 @pytest.mark.parametrize("name", layered(CASES, QUICK))
-def test_a_rig_larger_by_powers_of_ten_is_told_the_same(name: str) -> None:
+def test_a_rig_larger_by_powers_of_ten_gets_the_same_diagnosis(name: str) -> None:
     powers = np.random.default_rng(list(CASES).index(name)).integers(-3, 4, 4)
     _agrees(name, tuple(10.0**powers))
 
@@ -99,7 +107,7 @@ def test_a_rig_larger_by_powers_of_ten_is_told_the_same(name: str) -> None:
     [(0.02, 1.0, 1.0, 1.0), (1.0, 8.0, 0.01, 50.0), (18.75, 0.1, 1.9, 0.3)],
     ids=["0.16 N", "millivolts", "150 N and 0.3 mm"],
 )
-def test_a_larger_rig_is_told_the_same(name: str, factors: tuple[float, float, float, float]) -> None:
+def test_a_larger_rig_gets_the_same_diagnosis(name: str, factors: tuple[float, float, float, float]) -> None:
     _agrees(name, factors)
 
 

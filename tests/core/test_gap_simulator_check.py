@@ -24,7 +24,7 @@ def press(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
     return {"sunk_mm": p["softness"] * load_N + p["bottoming.a"] * load_N**2 + p["creep.rate"] * inputs["t_s"]}
 
 
-FOOT = Simulator(
+PAD = Simulator(
     name="foot",
     run=press,
     inputs=("load_N",),
@@ -37,7 +37,7 @@ FOOT = Simulator(
 )
 
 
-def runs_of(simulator: Simulator = FOOT) -> tuple[SimulatorRun, ...]:
+def runs_of(simulator: Simulator = PAD) -> tuple[SimulatorRun, ...]:
     rng, out = np.random.default_rng(3), []
     values = {"softness": 0.12, "bottoming.a": 0.02, "creep.rate": 0.0}
     for name, speed in (("one", 2.0), ("two", 3.1)):
@@ -96,7 +96,7 @@ class Faults:
 
 
 @pytest.mark.parametrize(
-    ("fault", "named"),
+    ("fault", "message"),
     [
         ("noisy", "twice"),
         ("leaks_state", "twice"),
@@ -110,10 +110,10 @@ class Faults:
         ("never_reads_base", "softness"),
     ],
 )
-def test_a_simulator_that_cannot_be_fitted_is_refused(fault: str, named: str) -> None:
+def test_a_simulator_that_cannot_be_fitted_is_refused(fault: str, message: str) -> None:
     run: Callable[..., Any] = getattr(Faults(), fault)
-    simulator = replace(FOOT, run=run)
-    with pytest.raises(InputError, match=named) as refused:
+    simulator = replace(PAD, run=run)
+    with pytest.raises(InputError, match=message) as refused:
         diagnose_simulator(simulator, runs_of(simulator))
     assert "\n" not in str(refused.value) and "foot" in str(refused.value)
 
@@ -128,7 +128,7 @@ def test_a_sound_simulator_is_called_a_few_times_and_its_runs_stay_as_they_are()
 
     runs = runs_of()
     before = [{name: values.copy() for name, values in run.columns.items()} for run in runs]
-    check_calls(replace(FOOT, run=counted), runs)
+    check_calls(replace(PAD, run=counted), runs)
     assert calls <= 4 + 2 * 3
     for run, columns in zip(runs, before, strict=True):
         assert all(np.array_equal(run.columns[name], values) for name, values in columns.items())
@@ -161,7 +161,7 @@ def updated(p: Mapping[str, float]) -> dict[str, float]:
 )
 def test_a_simulator_may_read_its_parameters_as_it_likes(values_of: Callable[[Any], Any]) -> None:
     run = lambda inputs, p: press(inputs, dict(zip(NAMES, values_of(p), strict=True)))  # noqa: E731
-    check_calls(replace(FOOT, run=run), runs_of())
+    check_calls(replace(PAD, run=run), runs_of())
 
 
 def test_what_these_runs_cannot_show_is_no_fault_of_the_simulator() -> None:
@@ -173,7 +173,7 @@ def test_what_these_runs_cannot_show_is_no_fault_of_the_simulator() -> None:
         return {"sunk_mm": np.minimum(sunk_mm, p["stop.depth"]) + p["rubbing.size"] * turned}
 
     simulator = replace(
-        FOOT,
+        PAD,
         run=stopped,
         candidates=(
             candidate("stop", "foot", Parameter("depth", "mm", 100.0, 1e4, 1e3, np.inf, scale="inverse_square")),
@@ -196,33 +196,33 @@ def test_what_these_runs_cannot_show_is_no_fault_of_the_simulator() -> None:
 )
 def test_bounds_that_hold_nothing_are_refused(parameter: Parameter) -> None:
     with pytest.raises(InputError, match="softness"):
-        replace(FOOT, base=(parameter,))
+        replace(PAD, base=(parameter,))
 
 
 def test_a_candidate_whose_usual_size_lies_outside_its_bounds_is_refused() -> None:
     with pytest.raises(InputError, match=r"bottoming\.a"):
-        replace(FOOT, candidates=(candidate("bottoming", "foot", Parameter("a", "", -1.0, 1.0, 2.0, neutral=0.0)),))
+        replace(PAD, candidates=(candidate("bottoming", "foot", Parameter("a", "", -1.0, 1.0, 2.0, neutral=0.0)),))
 
 
 SIZE = Parameter("size", "mm", -1.0, 1.0, 0.1, neutral=0.0)
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("change", "message"),
     [
         ({"base": (Parameter("softness", "mm/N", "0", 1.0, 0.5),)}, "lower bound '0'"),
         ({"run": None}, "run is None"),
         ({"inputs": "load_N"}, "in a tuple"),
         ({"inputs": ("t_s",)}, "two of the input columns"),
-        ({"base": (*FOOT.base, Parameter("creep.rate", "", 0.0, 1.0, 0.5))}, "two of the parameters"),
+        ({"base": (*PAD.base, Parameter("creep.rate", "", 0.0, 1.0, 0.5))}, "two of the parameters"),
         ({"candidates": (candidate("toe", "foot", SIZE, SIZE),)}, "two of the parameters"),
         ({"candidates": (candidate("toe", "foot", replace(SIZE, usual=0.0)),)}, "switches it off"),
         ({"candidates": (candidate("toe", "foot", SIZE, probes=((0.1, 0.2),)),)}, "2 values"),
     ],
 )
-def test_a_declaration_that_cannot_be_meant_is_refused_in_one_line(change: dict[str, Any], named: str) -> None:
-    with pytest.raises(InputError, match=named) as refused:
-        replace(FOOT, **change)
+def test_a_declaration_that_cannot_be_meant_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message) as refused:
+        replace(PAD, **change)
     assert "\n" not in str(refused.value) and "foot" in str(refused.value)
 
 
@@ -232,15 +232,15 @@ def test_a_candidate_that_cannot_be_switched_off_is_refused(parameters: tuple[Pa
         candidate("toe", "foot", *parameters)
 
 
-@pytest.mark.parametrize(("values", "named"), [(["a"] * 50, "no column of numbers"), (np.ones((50, 2)), "shape")])
-def test_a_column_that_is_none_is_refused(values: Any, named: str) -> None:
-    with pytest.raises(InputError, match=f"load_N.*{named}"):
-        recorded(FOOT, "1", {"t_s": np.arange(50.0), "load_N": values, "sunk_mm": np.ones(50)})
+@pytest.mark.parametrize(("values", "message"), [(["a"] * 50, "no column of numbers"), (np.ones((50, 2)), "shape")])
+def test_a_column_that_is_none_is_refused(values: Any, message: str) -> None:
+    with pytest.raises(InputError, match=f"load_N.*{message}"):
+        recorded(PAD, "1", {"t_s": np.arange(50.0), "load_N": values, "sunk_mm": np.ones(50)})
 
 
 def test_two_runs_of_one_name_are_refused() -> None:
     with pytest.raises(InputError, match="two runs have one name: one, one"):
-        diagnose_simulator(FOOT, [runs_of()[0]] * 2)
+        diagnose_simulator(PAD, [runs_of()[0]] * 2)
 
 
 def leaves(inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
@@ -248,15 +248,15 @@ def leaves(inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("run", "named"),
+    ("run", "message"),
     [
         (leaves, "SystemExit"),
         (lambda inputs, p: {"sunk_mm": press(inputs, p)["sunk_mm"] + 0j}, "complex"),
     ],
 )
-def test_a_simulator_that_leaves_or_is_complex_fails_in_one_line(run: Any, named: str) -> None:
-    with pytest.raises(InputError, match=named):
-        diagnose_simulator(replace(FOOT, run=run), runs_of())
+def test_a_simulator_that_leaves_or_is_complex_fails_in_one_line(run: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        diagnose_simulator(replace(PAD, run=run), runs_of())
 
 
 def test_a_simulator_that_gives_its_first_answer_for_ever_is_refused() -> None:
@@ -266,7 +266,7 @@ def test_a_simulator_that_gives_its_first_answer_for_ever_is_refused() -> None:
         return answers.setdefault(len(inputs["t_s"]), press(inputs, p))
 
     with pytest.raises(InputError, match="no parameter changes a channel"):
-        diagnose_simulator(replace(FOOT, run=stale), runs_of())
+        diagnose_simulator(replace(PAD, run=stale), runs_of())
 
 
 @pytest.mark.parametrize("decimals", [1, 2, 3])
@@ -274,25 +274,25 @@ def test_a_channel_on_a_grid_is_refused_however_far_it_moves(decimals: int) -> N
     """A small step moves most samples by more than the grid: differences alone would look sound."""
     far = lambda inputs, p: {"sunk_mm": np.round(1e3 * press(inputs, p)["sunk_mm"], decimals)}  # noqa: E731
     with pytest.raises(InputError, match="it rounds sunk_mm"):
-        check_calls(replace(FOOT, run=far), runs_of())
+        check_calls(replace(PAD, run=far), runs_of())
     fine = lambda inputs, p: {"sunk_mm": np.round(press(inputs, p)["sunk_mm"], 9)}  # noqa: E731
-    check_calls(replace(FOOT, run=fine), runs_of())
+    check_calls(replace(PAD, run=fine), runs_of())
 
 
 def test_inputs_on_a_grid_make_no_grid_of_channels() -> None:
     run = runs_of()[0]
     whole = replace(run, columns=run.columns | {"load_N": np.round(run.columns["load_N"])})
-    check_calls(FOOT, [whole])
+    check_calls(PAD, [whole])
 
 
 def ball(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
     """A ball that is dropped and bounces, each fall in closed form; the camera may be tilted."""
     out = []
-    for left in inputs["t_s"]:
+    for time_left in inputs["t_s"]:
         height, speed = p["height"], 0.0
-        while (lands := (speed + np.sqrt(speed**2 + 2.0 * p["g"] * height)) / p["g"]) < left and lands > 1e-3:
-            left, speed, height = left - lands, p["bounce"] * (p["g"] * lands - speed), 0.0
-        out.append(height + speed * left - 0.5 * p["g"] * left**2)
+        while (lands := (speed + np.sqrt(speed**2 + 2.0 * p["g"] * height)) / p["g"]) < time_left and lands > 1e-3:
+            time_left, speed, height = time_left - lands, p["bounce"] * (p["g"] * lands - speed), 0.0
+        out.append(height + speed * time_left - 0.5 * p["g"] * time_left**2)
     return {"y_m": np.array(out) + p["tilt.rate"] * inputs["t_s"]}
 
 
@@ -316,9 +316,9 @@ def test_a_ball_that_bounces_is_accepted_and_diagnosed() -> None:
         y = ball({"t_s": t_s}, {"g": 9.8, "height": height, "bounce": 0.75, "tilt.rate": 0.08})["y_m"]
         runs.append(recorded(BALL, name, {"t_s": t_s, "y_m": y + rng.normal(0.0, 0.003, len(t_s))}))
     dropped = replace(BALL, base=(BALL.base[0], BALL.base[2]), run_parameters=(BALL.base[1],))
-    found = diagnose_simulator(dropped, runs)
-    assert (found.verdict, found.best.ids) == ("explained", ("tilt",))
-    assert found.report()["parameters"]["height@2"] == pytest.approx(0.8, abs=0.01)
+    diagnosis = diagnose_simulator(dropped, runs)
+    assert (diagnosis.verdict, diagnosis.best.ids) == ("explained", ("tilt",))
+    assert diagnosis.report()["parameters"]["height@2"] == pytest.approx(0.8, abs=0.01)
 
 
 def test_an_oscillator_of_many_periods_is_smooth() -> None:

@@ -29,11 +29,11 @@ SIMULATOR = Simulator(
 )
 
 
-def sound(bend: float = 0.0) -> list[dict[str, np.ndarray]]:
+def sound(curvature: float = 0.0) -> list[dict[str, np.ndarray]]:
     rng, out = np.random.default_rng(2), []
     for run in range(4):
         drive_A = (1.0 + 0.4 * run) * np.sin((0.7 + 0.3 * run) * T)
-        gives = lift({"drive_A": drive_A}, {"force_per_A": 3.0, "zero": 7.0, "bend.a": bend})
+        gives = lift({"drive_A": drive_A}, {"force_per_A": 3.0, "zero": 7.0, "bend.a": curvature})
         noisy = {name: v + rng.normal(0.0, 0.02, len(T)) for name, v in gives.items()}
         out.append({"t_s": T, "drive_A": drive_A, **noisy})
     return out
@@ -52,7 +52,7 @@ def times(name: str, factor: float, run: int | None = 2) -> Callable[[list[dict[
     return spoil
 
 
-def stands_still(tables: list[dict[str, np.ndarray]]) -> None:
+def freeze_reference(tables: list[dict[str, np.ndarray]]) -> None:
     tables[1]["place_mm"] = np.full(len(T), 3.0)
 
 
@@ -68,36 +68,36 @@ MISTAKES = [
     (times("drive_A", 1e3), ("unit_factor", "drive_A", (3,), 1e-3)),
     (times("drive_A", -1.0), ("sign", "drive_A", (3,), -1.0)),
     (times("t_s", 1e3), ("unit_factor", "t_s", (3,), 1e-3)),
-    (stands_still, ("constant", "place_mm", (2,), None)),
+    (freeze_reference, ("constant", "place_mm", (2,), None)),
     (exchanged, ("swapped_columns", "force_N+place_mm", (), None)),
 ]
 
 
-@pytest.mark.parametrize("bend", [0.0, 0.08])
+@pytest.mark.parametrize("curvature", [0.0, 0.08])
 @pytest.mark.parametrize(("spoil", "expected"), MISTAKES)
-def test_a_mistake_is_named_with_its_run_and_repair(spoil, expected, bend: float) -> None:
-    tables = sound(bend)
+def test_a_mistake_is_named_with_its_run_and_repair(spoil, expected, curvature: float) -> None:
+    tables = sound(curvature)
     spoil(tables)
-    found = diagnose_simulator(SIMULATOR, runs(tables))
-    (mistake,) = found.mistakes
+    diagnosis = diagnose_simulator(SIMULATOR, runs(tables))
+    (mistake,) = diagnosis.mistakes
     what, channel, at, factor = expected
-    assert (found.verdict, mistake.what, mistake.channel, mistake.runs) == ("data", what, channel, at)
+    assert (diagnosis.verdict, mistake.what, mistake.channel, mistake.runs) == ("data", what, channel, at)
     assert mistake.factor == (None if factor is None else pytest.approx(factor, rel=0.03))
-    assert found.report()["data"] and all(cause.probability == 0.0 for cause in found.causes)
+    assert diagnosis.report()["data"] and all(cause.probability == 0.0 for cause in diagnosis.causes)
 
 
-@pytest.mark.parametrize("bend", [0.0, 0.08, 0.3])
-def test_sound_recordings_hold_no_mistake_whatever_is_missing(bend: float) -> None:
-    found = diagnose_simulator(SIMULATOR, runs(sound(bend)))
-    assert not found.mistakes and found.verdict == ("explained" if bend else "no_gap")
+@pytest.mark.parametrize("curvature", [0.0, 0.08, 0.3])
+def test_sound_recordings_hold_no_mistake_whatever_is_missing(curvature: float) -> None:
+    diagnosis = diagnose_simulator(SIMULATOR, runs(sound(curvature)))
+    assert not diagnosis.mistakes and diagnosis.verdict == ("explained" if curvature else "no_gap")
 
 
 def test_a_channel_that_may_be_cut_off_is_asked_about_and_diagnosed() -> None:
     tables = sound(0.08)
     for table in tables:
         table["force_N"] = np.minimum(table["force_N"], 5.0)
-    found = diagnose_simulator(SIMULATOR, runs(tables))
-    assert {m.what for m in found.mistakes} == {"out_of_range"} and found.verdict != "data"
+    diagnosis = diagnose_simulator(SIMULATOR, runs(tables))
+    assert {m.what for m in diagnosis.mistakes} == {"out_of_range"} and diagnosis.verdict != "data"
     assert {m.channel for m in check_simulator(SIMULATOR, runs(tables))[0]} == {"force_N"}
 
 
@@ -141,9 +141,11 @@ def foam_runs() -> list[SimulatorRun]:
 
 
 def test_a_gap_that_exchanged_columns_would_lessen_a_little_is_diagnosed() -> None:
-    found = diagnose_simulator(SOFT, foam_runs())
-    assert found.verdict == "explained" and [c.effect for c in found.causes if c.probability > 0.5] == ["softening"]
-    assert not any(m.what == "swapped_columns" for m in found.mistakes)
+    diagnosis = diagnose_simulator(SOFT, foam_runs())
+    assert diagnosis.verdict == "explained" and [c.effect for c in diagnosis.causes if c.probability > 0.5] == [
+        "softening"
+    ]
+    assert not any(m.what == "swapped_columns" for m in diagnosis.mistakes)
 
 
 def test_a_mistake_that_leaves_much_is_a_question_beside_a_whole_diagnosis() -> None:
@@ -153,5 +155,5 @@ def test_a_mistake_that_leaves_much_is_a_question_beside_a_whole_diagnosis() -> 
     def run(i: Columns, p: Mapping[str, float]) -> Columns:
         return {"sunk_mm": p["softness"] * i["load_N"] + p["tide.a"] * np.sin(40.0 * i["t_s"])}
 
-    found = diagnose_simulator(replace(SOFT, run=run, candidates=(nothing,)), foam_runs())
-    assert found.verdict == "unknown" and [m.what for m in found.mistakes] == ["swapped_columns"]
+    diagnosis = diagnose_simulator(replace(SOFT, run=run, candidates=(nothing,)), foam_runs())
+    assert diagnosis.verdict == "unknown" and [m.what for m in diagnosis.mistakes] == ["swapped_columns"]

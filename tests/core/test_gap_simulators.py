@@ -51,8 +51,8 @@ def blind(simulator: Simulator, causes: tuple[str, ...]) -> Simulator:
     """The simulator without these candidates; nothing in it can act as they do."""
     run = simulator.run
     off = {f"{c.id}.{p.name}": v for c in simulator.candidates if c.id in causes for p, v in neutral(c)}
-    kept = tuple(c for c in simulator.candidates if c.id not in causes)
-    return replace(simulator, candidates=kept, run=lambda i, p: run(i, off | dict(p)))
+    selected = tuple(c for c in simulator.candidates if c.id not in causes)
+    return replace(simulator, candidates=selected, run=lambda i, p: run(i, off | dict(p)))
 
 
 def neutral(effect: Any) -> list[tuple[Parameter, float]]:
@@ -93,8 +93,8 @@ SPRING = Rig(
 
 
 def lag(values: np.ndarray, tau_s: float) -> np.ndarray:
-    keep = np.exp(-0.05 / max(tau_s, 1e-3))
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values))
+    decay = np.exp(-0.05 / max(tau_s, 1e-3))
+    return np.asarray(lfilter([1.0 - decay], [1.0, -decay], values))
 
 
 def oven(i: Columns, p: Values) -> Columns:
@@ -160,8 +160,8 @@ ENZYME = Rig(
 
 def ringing(i: Columns, p: Values) -> Columns:
     phase = 2 * np.pi * (p["rate"] + p["stiffening.per_s"] * T) * T
-    fades = np.maximum(np.exp(-T / p["fades"]) - p["rubbing.loss"] * T, 0.0)
-    return {"y": i["pluck"] * p["size"] * fades * np.cos(phase) + p["offset.y"]}
+    envelope = np.maximum(np.exp(-T / p["fades"]) - p["rubbing.loss"] * T, 0.0)
+    return {"y": i["pluck"] * p["size"] * envelope * np.cos(phase) + p["offset.y"]}
 
 
 RINGING = Rig(
@@ -202,8 +202,8 @@ def _pendulum(u: np.ndarray, step_s: float, steps: int, p: np.ndarray) -> np.nda
 
 
 def pendulum(i: Columns, p: Values, steps: int = 20) -> Columns:
-    own = np.array([p["pull"], p["damping"], p["dry.torque"], p["air.c2"], p["push"]])
-    return {"angle_rad": np.interp(T - p["latency.delay"], T, _pendulum(i["u"], 0.05, steps, own))}
+    coefficients = np.array([p["pull"], p["damping"], p["dry.torque"], p["air.c2"], p["push"]])
+    return {"angle_rad": np.interp(T - p["latency.delay"], T, _pendulum(i["u"], 0.05, steps, coefficients))}
 
 
 PENDULUM = Rig(
@@ -235,26 +235,29 @@ RIGS = {rig.simulator.name: rig for rig in (SPRING, OVEN, ENZYME, RINGING, PENDU
 def plain(rig: Rig, runs: list[SimulatorRun], causes: tuple[str, ...]) -> float:
     """Root mean square left by SciPy's least squares from six starts, over the one channel of a simulator."""
     simulator = rig.simulator
-    kept = [c for c in simulator.candidates if c.id in causes]
-    named = [(p, p.name) for p in simulator.base] + [(p, f"{c.id}.{p.name}") for c in kept for p in c.parameters]
+    selected = [c for c in simulator.candidates if c.id in causes]
+    parameters = [(p, p.name) for p in simulator.base] + [
+        (p, f"{c.id}.{p.name}") for c in selected for p in c.parameters
+    ]
     off = {f"{c.id}.{p.name}": v for c in simulator.candidates for p, v in neutral(c)}
     low, high, usual = (
-        np.array([np.log(v) if p.scale == "log" else v for p, v in ((p, getattr(p, end)) for p, _ in named)])
+        np.array([np.log(v) if p.scale == "log" else v for p, v in ((p, getattr(p, end)) for p, _ in parameters)])
         for end in ("low", "high", "usual")
     )
-    scale = np.array([1.0 if p.scale == "log" else abs(p.usual) for p, _ in named])
+    scale = np.array([1.0 if p.scale == "log" else abs(p.usual) for p, _ in parameters])
     channel = simulator.channels[0]
 
-    def left(x: np.ndarray) -> np.ndarray:
-        values = off | {n: np.exp(v) if p.scale == "log" else v for (p, n), v in zip(named, x, strict=True)}
+    def residual(x: np.ndarray) -> np.ndarray:
+        values = off | {n: np.exp(v) if p.scale == "log" else v for (p, n), v in zip(parameters, x, strict=True)}
         return np.concatenate([simulator.run(r.columns, values)[channel] - r.columns[channel] for r in runs])
 
     rng, margin = np.random.default_rng(7), 1e-9 * (high - low)
     starts = [usual, *(usual + 0.7 * scale * rng.normal(size=len(usual)) for _ in range(5))]
-    found = [
-        least_squares(left, np.clip(x, low + margin, high - margin), bounds=(low, high), x_scale=scale) for x in starts
+    solutions = [
+        least_squares(residual, np.clip(x, low + margin, high - margin), bounds=(low, high), x_scale=scale)
+        for x in starts
     ]
-    return float(np.sqrt(2.0 * min(f.cost for f in found) / len(found[0].fun)))
+    return float(np.sqrt(2.0 * min(f.cost for f in solutions) / len(solutions[0].fun)))
 
 
 def rms(fitted: Any) -> float:
@@ -265,34 +268,34 @@ def rms(fitted: Any) -> float:
 def test_causes_are_named_and_no_plain_fit_is_closer(name: str) -> None:
     rig = RIGS[name]
     runs = rig.recorded()
-    found = diagnose_simulator(rig.simulator, runs)
-    assert (found.verdict, found.best.hypothesis.ids) == ("explained", rig.causes)
-    assert rms(found.base) <= 1.002 * plain(rig, runs, ())
-    assert rms(found.best) <= 1.002 * plain(rig, runs, rig.causes)
-    assert found.explained_fraction.held_out > 0.9
+    diagnosis = diagnose_simulator(rig.simulator, runs)
+    assert (diagnosis.verdict, diagnosis.best.hypothesis.ids) == ("explained", rig.causes)
+    assert rms(diagnosis.base) <= 1.002 * plain(rig, runs, ())
+    assert rms(diagnosis.best) <= 1.002 * plain(rig, runs, rig.causes)
+    assert diagnosis.explained_fraction.held_out > 0.9
 
 
 @pytest.mark.parametrize("name", RIGS)
 def test_without_its_cause_a_rig_is_unknown(name: str) -> None:
     rig = RIGS[name]
-    found = diagnose_simulator(blind(rig.simulator, rig.causes[:1]), rig.recorded())
-    assert found.verdict == "unknown" and all(cause.probability < 0.5 for cause in found.causes)
+    diagnosis = diagnose_simulator(blind(rig.simulator, rig.causes[:1]), rig.recorded())
+    assert diagnosis.verdict == "unknown" and all(cause.probability < 0.5 for cause in diagnosis.causes)
 
 
 def test_what_no_candidate_explains_is_described_by_a_term_that_the_simulator_can_take_up() -> None:
     simulator = blind(SPRING.simulator, ("cubic",))
-    found = diagnose_simulator(simulator, SPRING.recorded())
-    assert found.verdict == "unknown" and found.residual is not None
-    (one,) = found.residual.terms
+    diagnosis = diagnose_simulator(simulator, SPRING.recorded())
+    assert diagnosis.verdict == "unknown" and diagnosis.residual is not None
+    (one,) = diagnosis.residual.terms
     # In the units of the term 1 is the largest x of the runs.
     assert (one.term.place, one.term.variable) == ("y", "x³")
     assert one.term.coefficient / one.term.half**3 == pytest.approx(-0.5, abs=5 * one.standard_error)
-    assert found.residual.explained_fraction.held_out > 0.95
-    record = found.report()["residual"]
+    assert diagnosis.residual.explained_fraction.held_out > 0.95
+    record = diagnosis.report()["residual"]
     taken_up = with_terms(simulator, [term_of(each, "here") for each in record["added"]])
     fresh = replace(SPRING, runs=4).recorded(5)[3]
-    left = fresh.columns["y"] - taken_up(fresh.columns, record["parameters"])["y"]
-    assert np.std(left) == pytest.approx(SPRING.noise, rel=0.1)
+    residual = fresh.columns["y"] - taken_up(fresh.columns, record["parameters"])["y"]
+    assert np.std(residual) == pytest.approx(SPRING.noise, rel=0.1)
 
 
 def test_where_nothing_is_left_nothing_is_described() -> None:
@@ -313,16 +316,16 @@ def sound(rig: Rig, **changes: Any) -> Rig:
 @pytest.mark.parametrize("name", [SPRING.simulator.name, OVEN.simulator.name, RINGING.simulator.name])
 @pytest.mark.parametrize("has_cause", [False, True])
 def test_noise_that_fades_is_a_floor(name: str, has_cause: bool) -> None:
-    rig, keep = RIGS[name], np.exp(-1.0 / 8.0)
+    rig, decay = RIGS[name], np.exp(-1.0 / 8.0)
 
     def spoil(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
         quick = rng.normal(0.0, 3.0 * rig.noise, len(values))
-        return np.asarray(values + lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], quick))
+        return np.asarray(values + lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], quick))
 
-    made = replace(rig if has_cause else sound(rig), spoil=spoil, runs=4)
-    found = diagnose_simulator(rig.simulator, made.recorded())
-    assert found.verdict == ("explained" if has_cause else "no_gap")
-    assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
+    variant = replace(rig if has_cause else sound(rig), spoil=spoil, runs=4)
+    diagnosis = diagnose_simulator(rig.simulator, variant.recorded())
+    assert diagnosis.verdict == ("explained" if has_cause else "no_gap")
+    assert diagnosis.best.hypothesis.ids == (rig.causes if has_cause else ())
 
 
 @pytest.mark.parametrize("name", layered(RIGS, (OVEN.simulator.name,)))
@@ -335,25 +338,25 @@ def test_what_a_run_may_have_of_its_own_needs_no_cause(name: str, has_cause: boo
         return np.asarray(late * (1.0 + rng.normal(0.0, 0.01)) + rng.normal(0.0, 20.0 * rig.noise))
 
     allowed = {channel: {"zero": 100.0 * rig.noise, "delay": 0.2, "gain": 0.05}}
-    made = replace(rig if has_cause else sound(rig), spoil=spoil, runs=4)
-    runs = made.recorded()
-    found = diagnose_simulator(replace(rig.simulator, per_run=allowed), runs)
-    assert found.verdict == ("explained" if has_cause else "no_gap")
-    assert found.best.hypothesis.ids == (rig.causes if has_cause else ())
+    variant = replace(rig if has_cause else sound(rig), spoil=spoil, runs=4)
+    runs = variant.recorded()
+    diagnosis = diagnose_simulator(replace(rig.simulator, per_run=allowed), runs)
+    assert diagnosis.verdict == ("explained" if has_cause else "no_gap")
+    assert diagnosis.best.hypothesis.ids == (rig.causes if has_cause else ())
     assert diagnose_simulator(rig.simulator, runs).verdict == "unknown"
 
 
-def chance_of_noise(seed: int, left: float = 0.0) -> float:
+def chance_of_noise(seed: int, residual_level: float = 0.0) -> float:
     """How likely noise leaves as much as the base of a sound spring does, with a ripple beside it of so many σ."""
 
     def spoil(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
-        return np.asarray(values + left * SPRING.noise * np.sin(2.0 * np.pi * 1.9 * T))
+        return np.asarray(values + residual_level * SPRING.noise * np.sin(2.0 * np.pi * 1.9 * T))
 
     rig = replace(sound(SPRING), spoil=spoil)
     return noise_chance(SimulatorModel(rig.simulator).base_fit(Case("", tuple(rig.recorded(seed)))))
 
 
-def test_noise_passes_for_noise_as_often_as_is_said() -> None:
+def test_noise_passes_for_noise_at_the_stated_rate() -> None:
     chances = np.array([chance_of_noise(seed) for seed in range(100)])
     assert np.sum(chances < 0.05) <= 11 and np.sum(chances < 1e-3) <= 1
 
@@ -365,17 +368,17 @@ def test_a_ripple_that_sums_to_nothing_is_no_noise(seed: int) -> None:
     assert diagnose_simulator(rig.simulator, rig.recorded(seed)).verdict == "unknown"
 
 
-@pytest.mark.parametrize("straight", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("linear_share", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("delay_s", [0.3, 2.7, -1.1])
-def test_a_channel_is_late_along_the_spline_or_along_straight_lines(straight: float, delay_s: float) -> None:
+def test_a_channel_is_late_along_a_spline_or_along_linear_segments(linear_share: float, delay_s: float) -> None:
     t_s = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, 60))
     t_s, at_s = t_s - t_s[0], np.clip(t_s - t_s[0] - delay_s, 0.0, t_s[-1] - t_s[0])
     values = np.sin(0.6 * t_s)
     curve, lines = CubicSpline(t_s, values)(at_s), np.interp(at_s, t_s, values)
-    late, slope, apart = shifted(values, t_s, delay_s, straight)
-    assert late == pytest.approx((1.0 - straight) * curve + straight * lines, abs=1e-12)
+    late, slope, apart = shifted(values, t_s, delay_s, linear_share)
+    assert late == pytest.approx((1.0 - linear_share) * curve + linear_share * lines, abs=1e-12)
     assert apart == pytest.approx(lines - curve, abs=1e-12)
-    nearby = shifted(values, t_s, delay_s - 1e-6, straight)[0]
+    nearby = shifted(values, t_s, delay_s - 1e-6, linear_share)[0]
     inside = (at_s > 1e-5) & (at_s < t_s[-1] - 1e-5)
     assert ((nearby - late) / 1e-6)[inside] == pytest.approx(slope[inside], abs=1e-4)
 
@@ -385,10 +388,10 @@ def test_a_coarse_step_is_not_explained_by_what_does_not_shrink_the_gap() -> Non
         return pendulum(i, p, steps=1)
 
     simulator = blind(replace(PENDULUM.simulator, run=coarse), ("dry", "air"))
-    found = diagnose_simulator(simulator, sound(PENDULUM).recorded())
-    assert found.verdict != "explained" or found.explained_fraction.held_out > 0.85
-    if found.verdict == "unknown":
-        assert all(cause.probability < 0.5 for cause in found.causes)
+    diagnosis = diagnose_simulator(simulator, sound(PENDULUM).recorded())
+    assert diagnosis.verdict != "explained" or diagnosis.explained_fraction.held_out > 0.85
+    if diagnosis.verdict == "unknown":
+        assert all(cause.probability < 0.5 for cause in diagnosis.causes)
 
 
 def failing(i: Columns, p: Values) -> Columns:
@@ -399,10 +402,10 @@ def failing(i: Columns, p: Values) -> Columns:
     return spring(i, p) if p["cubic.a"] > -6.0 else {"y": np.zeros(3)}
 
 
-def test_corners_where_a_simulator_fails_are_avoided_and_told() -> None:
-    found = diagnose_simulator(replace(SPRING.simulator, run=failing), SPRING.recorded())
-    assert (found.verdict, found.best.hypothesis.ids) == ("explained", ("cubic",))
-    failed = found.report()["failed"]
+def test_corners_where_a_simulator_fails_are_avoided_and_reported() -> None:
+    diagnosis = diagnose_simulator(replace(SPRING.simulator, run=failing), SPRING.recorded())
+    assert (diagnosis.verdict, diagnosis.best.hypothesis.ids) == ("explained", ("cubic",))
+    failed = diagnosis.report()["failed"]
     assert isinstance(failed, dict) and 0 < failed["evaluations"] < failed["of"]
 
 
@@ -411,7 +414,7 @@ def raising(i: Columns, p: Values) -> Columns:
 
 
 @pytest.mark.parametrize(
-    ("run", "told"),
+    ("run", "message"),
     [
         (raising, "KeyError: 'slop'"),
         (lambda i, p: {"y": np.zeros(3)}, r"\(3,\)"),
@@ -420,6 +423,6 @@ def raising(i: Columns, p: Values) -> Columns:
         (lambda i, p: i["x"], "gives no y"),
     ],
 )
-def test_a_simulator_that_fails_everywhere_is_told_by_file_and_parameters(run: Any, told: str) -> None:
-    with pytest.raises(InputError, match=rf"test_gap_simulators\.py.*{told}.*slope = "):
+def test_a_simulator_that_fails_everywhere_is_reported_by_file_and_parameters(run: Any, message: str) -> None:
+    with pytest.raises(InputError, match=rf"test_gap_simulators\.py.*{message}.*slope = "):
         diagnose_simulator(replace(SPRING.simulator, run=run), SPRING.recorded())

@@ -14,7 +14,7 @@ BASE = Twin(BaseParameters(kappa_per_N=0.06), (), ReadoutMetadata(3.3, 14, 10.0,
 LATE = Twin(BASE.parameters, (EffectSetting("clock_offset", {"delta": 0.08}),), BASE.metadata)
 
 
-def pressed(twin, seed, seconds, has_stage=True):
+def press_unit(twin, seed, seconds, has_stage=True):
     rng = np.random.default_rng(seed)
     t_s, stage_mm = profiles.random_presses(rng, seconds, 3.0).sample(50.0)
     force_N, output_V = simulate(twin, t_s, stage_mm, rng)
@@ -24,18 +24,20 @@ def pressed(twin, seed, seconds, has_stage=True):
 
 @pytest.mark.long
 def test_the_explained_twin_foretells_the_rigs_errors_and_the_base_does_not():
-    rig = PressedLot(pressed(LATE, 1, 60.0), (LotUnit(pressed(LATE, 2, 40.0).unlabelled, pressed(LATE, 3, 60.0)),))
-    found = transfer(rig, BASE, LATE)
-    errors = {name: (base, explained) for name, _, _, _, base, explained in found.rows()}
+    rig = PressedLot(
+        press_unit(LATE, 1, 60.0), (LotUnit(press_unit(LATE, 2, 40.0).unlabelled, press_unit(LATE, 3, 60.0)),)
+    )
+    comparison = transfer(rig, BASE, LATE)
+    errors = {name: (base, explained) for name, _, _, _, base, explained in comparison.rows()}
     assert errors["own"][1] < 0.25 < errors["own"][0]
     assert errors["after"][1] < errors["after"][0]
-    record = found.to_record()
+    record = comparison.to_record()
     assert record["units"] == 1
-    for place in (record["rig"], record["base"], record["explained"]):
-        assert place["after_by_own"] * place["own"] == pytest.approx(place["after"])
+    for errors_of_twin in (record["rig"], record["base"], record["explained"]):
+        assert errors_of_twin["after_by_own"] * errors_of_twin["own"] == pytest.approx(errors_of_twin["after"])
 
 
 def test_a_lot_without_stage_positions_cannot_be_followed():
-    blind = pressed(LATE, 1, 20.0, has_stage=False)
+    blind = press_unit(LATE, 1, 20.0, has_stage=False)
     with pytest.raises(InputError, match="stage_mm"):
         PressedLot(blind, (LotUnit(blind.unlabelled, blind),))

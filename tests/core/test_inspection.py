@@ -60,11 +60,11 @@ SPIKES: dict[str, Callable[[Array], Array]] = {
 
 def planted(output: Array, kind: str, length: int, rng: np.random.Generator, count: int = 5) -> tuple[Array, list[int]]:
     """Return an output with spikes, and the rows that were changed."""
-    spoilt = output.copy()
+    faulty = output.copy()
     starts = rng.choice(np.arange(20, len(output) - 20, 25), count, replace=False) + rng.integers(0, 20)
     for start in starts:
-        spoilt[start : start + length] = SPIKES[kind](output[start : start + length])
-    return spoilt, [int(start) + k for start in starts for k in range(length)]
+        faulty[start : start + length] = SPIKES[kind](output[start : start + length])
+    return faulty, [int(start) + k for start in starts for k in range(length)]
 
 
 def masked_rows(result: InspectedRecording, samples: int) -> set[int]:
@@ -86,13 +86,13 @@ def test_a_loose_cable_is_found_and_its_neighbours_stay(
 ) -> None:
     outputs = [press_unit(1500, 1 + 0.2 * k, 0.5, k)["output"].to_numpy() for k in range(8)]
     outputs += [output for name, output, _ in measured_outputs(measured_data) if name in ("S1", "S2")]
-    changed = found = wrong = samples = 0
+    changed = found_count = wrong = samples = 0
     for output in outputs:
-        spoilt, rows = planted(output, kind, length, rng)
-        masked = masked_rows(inspected(spoilt), len(output))
-        changed, found = changed + len(rows), found + len(masked & set(rows))
+        faulty, rows = planted(output, kind, length, rng)
+        masked = masked_rows(inspected(faulty), len(output))
+        changed, found_count = changed + len(rows), found_count + len(masked & set(rows))
         wrong, samples = wrong + len(masked - set(rows)), samples + len(output)
-    assert found >= 0.99 * changed
+    assert found_count >= 0.99 * changed
     assert wrong <= 1e-4 * samples
 
 
@@ -100,19 +100,19 @@ def test_a_halved_output_is_found_between_fast_presses_where_it_dips_deeper_than
     measured_data: Path, rng: np.random.Generator
 ) -> None:
     outputs = [output for name, output, _ in measured_outputs(measured_data) if name in ("left", "middle", "right")]
-    changed = found = wrong = samples = 0
+    changed = found_count = wrong = samples = 0
     for output, length, _ in itertools.product(outputs, (1, 2, 3), range(15)):
         span = float(np.ptp(np.quantile(output, (0.01, 0.99))))
-        spoilt, rows = planted(output, "half", length, rng)
-        masked = masked_rows(inspected(spoilt), len(output))
+        faulty, rows = planted(output, "half", length, rng)
+        masked = masked_rows(inspected(faulty), len(output))
         for start in rows[::length]:
-            run = spoilt[start : start + length]
+            run = faulty[start : start + length]
             # Between their peaks measured presses dip by 9 % of the range themselves.
-            if min(spoilt[start - 1], spoilt[start + length]) - run.max() >= 0.12 * span:
-                changed, found = changed + 1, found + (set(range(start, start + length)) <= masked)
+            if min(faulty[start - 1], faulty[start + length]) - run.max() >= 0.12 * span:
+                changed, found_count = changed + 1, found_count + (set(range(start, start + length)) <= masked)
         wrong, samples = wrong + len(masked - set(rows)), samples + len(output)
     assert changed > 300
-    assert found >= 0.99 * changed
+    assert found_count >= 0.99 * changed
     assert wrong <= 1e-4 * samples
 
 
@@ -120,13 +120,13 @@ def test_spikes_of_a_coarse_converter_hide_no_good_sample_behind_their_finer_ste
     measured_data: Path, rng: np.random.Generator
 ) -> None:
     outputs = [output for name, output, _ in measured_outputs(measured_data) if name.startswith("calibration")]
-    found = changed = wrong = samples = 0
+    found_count = changed = wrong = samples = 0
     for output in outputs[::4]:
-        spoilt, rows = planted(output, "half", 3, rng)
-        usual, masked = masked_rows(inspected(output), len(output)), masked_rows(inspected(spoilt), len(output))
-        changed, found = changed + len(rows), found + len(masked & set(rows))
+        faulty, rows = planted(output, "half", 3, rng)
+        usual, masked = masked_rows(inspected(output), len(output)), masked_rows(inspected(faulty), len(output))
+        changed, found_count = changed + len(rows), found_count + len(masked & set(rows))
         wrong, samples = wrong + len(masked - usual - set(rows)), samples + len(output)
-    assert found == changed
+    assert found_count == changed
     assert wrong <= 2e-5 * samples
 
 
@@ -150,8 +150,8 @@ def test_more_spikes_than_the_usual_movements_are_found_too(
     length: int, press_unit: PressUnit, rng: np.random.Generator
 ) -> None:
     output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy()
-    spoilt, rows = planted(output, "zero", length, rng, count=15)
-    assert masked_rows(inspected(spoilt), len(output)) == set(rows)
+    faulty, rows = planted(output, "zero", length, rng, count=15)
+    assert masked_rows(inspected(faulty), len(output)) == set(rows)
 
 
 @pytest.mark.parametrize("code", [8388607.0, -8388608.0, 9.9e37, -9999.0, 32767.0, 2147483647.0, np.inf, 1e9])
@@ -186,9 +186,10 @@ def test_a_recording_of_every_programme_without_noise_is_left_as_it_is() -> None
 
 def test_a_slow_logger_may_see_a_press_in_one_sample() -> None:
     t_s = np.arange(600.0)
-    pressed = (np.arange(600) % 30 == 7).astype(float)
+    press_levels = (np.arange(600) % 30 == 7).astype(float)
     assert (
-        len(build_recording("U1", t_s, pressed, sample_rate_Hz=1.0, config=InspectionConfig()).inspection.masked) == 0
+        len(build_recording("U1", t_s, press_levels, sample_rate_Hz=1.0, config=InspectionConfig()).inspection.masked)
+        == 0
     )
 
 
@@ -204,9 +205,9 @@ def test_a_cable_that_is_off_for_a_second_is_masked_as_a_whole(press_unit: Press
 def test_missing_cells_leave_a_gap_and_travel_with_the_recording(press_unit: PressUnit) -> None:
     table = press_unit(1500, 1.0, 0.5, 3)
     output, reference = table["output"].to_numpy(), table["reference"].to_numpy(copy=True)
-    spoilt = output.copy()
-    spoilt[[10, 11, 800]], reference[900] = np.nan, np.nan
-    result = inspected(spoilt, reference)
+    faulty = output.copy()
+    faulty[[10, 11, 800]], reference[900] = np.nan, np.nan
+    result = inspected(faulty, reference)
     assert result.recording.masked.counts == {"missing": 3, "no_reference": 1}
     assert result.reference is not None and len(result.reference) == len(result.recording) == 1496
     assert np.array_equal(result.recording.output, np.delete(output, [10, 11, 800, 900]))
@@ -220,18 +221,18 @@ def test_a_recording_without_faults_is_hashed_as_before(press_unit: PressUnit) -
     assert set(recording.arrays()) == {"t_s", "output"}
 
 
-@pytest.mark.parametrize(("t_s", "words"), [([0, 0.02, 0.02], "repeats"), ([0, 0.04, 0.02], "backward")])
-def test_time_that_goes_back_stays_an_error_beside_masks(t_s: list[float], words: str) -> None:
+@pytest.mark.parametrize(("t_s", "message"), [([0, 0.02, 0.02], "repeats"), ([0, 0.04, 0.02], "backward")])
+def test_time_that_goes_back_stays_an_error_beside_masks(t_s: list[float], message: str) -> None:
     times = np.concatenate([t_s, 1 + np.arange(50) / RATE_HZ])
     output = np.linspace(0, 1, len(times))
     output[1] = np.nan
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         inspected(output, t_s=times)
 
 
 def test_gaps_are_counted_in_samples_and_seconds(press_unit: PressUnit) -> None:
-    output, kept = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(), np.r_[0:500, 600:1500]
-    inspection = inspected(output[kept], t_s=kept / RATE_HZ).inspection
+    output, rows_kept = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(), np.r_[0:500, 600:1500]
+    inspection = inspected(output[rows_kept], t_s=rows_kept / RATE_HZ).inspection
     (gap,) = inspection.of_kind("gap")
     assert (gap.start, gap.amount) == (500, 100)
     assert gap.value == pytest.approx(2.02)
@@ -240,15 +241,15 @@ def test_gaps_are_counted_in_samples_and_seconds(press_unit: PressUnit) -> None:
 
 
 def test_another_rate_in_a_part_is_no_row_of_gaps(press_unit: PressUnit) -> None:
-    output, kept = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(), np.r_[0:1000, 1000:1500:5]
-    inspection = inspected(output[kept], t_s=kept / RATE_HZ).inspection
+    output, rows_kept = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(), np.r_[0:1000, 1000:1500:5]
+    inspection = inspected(output[rows_kept], t_s=rows_kept / RATE_HZ).inspection
     (slow,) = inspection.of_kind("rate")
     assert slow.value == pytest.approx(10.0) and slow.start in range(995, 1003)
     assert inspection.of_kind("gap") == () and len(inspection.masked) == 0
 
 
 @pytest.mark.parametrize("late_s", [0.2, 0.5, 1.0, -0.5])
-def test_a_late_reference_is_told_from_relaxation(late_s: float, measured_data: Path) -> None:
+def test_a_late_reference_is_distinguished_from_relaxation(late_s: float, measured_data: Path) -> None:
     for name, output, force_N in labelled_pairs(measured_data):
         rows = round(abs(late_s) * RATE_HZ)
         early, late = slice(rows, None), slice(None, len(output) - rows)
@@ -270,16 +271,16 @@ def test_a_lag_is_not_taken_for_half_a_period_of_a_programme_that_repeats_itself
 
 @pytest.mark.parametrize("share", [0.3, -0.3])
 def test_a_tare_in_the_middle_is_found_where_it_is(share: float, measured_data: Path) -> None:
-    placed = tried = 0
+    located = trials = 0
     sizes: list[float] = []
     for _, output, force_N in labelled_pairs(measured_data):
         for part in (0.25, 0.4, 0.5, 0.6, 0.75):
             row, tared = int(part * len(output)), force_N.copy()
             tared[row:] += share * np.ptp(force_N)
-            found = [one for one in inspected(output, tared).inspection.of_kind("tare") if one.start == row]
-            placed, tried = placed + len(found), tried + 1
-            sizes += [one.value / (share * np.ptp(force_N)) for one in found]
-    assert placed >= 0.8 * tried
+            finding = [one for one in inspected(output, tared).inspection.of_kind("tare") if one.start == row]
+            located, trials = located + len(finding), trials + 1
+            sizes += [one.value / (share * np.ptp(force_N)) for one in finding]
+    assert located >= 0.8 * trials
     assert np.median(np.abs(np.array(sizes) - 1)) < 0.1
 
 
@@ -317,18 +318,18 @@ def test_a_load_that_jumps_is_no_tare(seed: int) -> None:
 def test_the_line_of_an_unusable_reference_is_named(press_unit: PressUnit) -> None:
     table = press_unit(1500, 1.0, 0.5, 3)
     output, force_N = table["output"].to_numpy(), table["reference"].to_numpy()
-    tared, held = force_N.copy(), force_N[np.arange(1500) // 6 * 6]
+    tared, sampled_N = force_N.copy(), force_N[np.arange(1500) // 6 * 6]
     tared[700:] -= 1.0
     with pytest.raises(InputError, match="line 702 .*tared"):
         check_reference(inspected(output, tared).inspection, np.arange(1500) + 2)
     with pytest.raises(InputError, match="8.33 Hz"):
-        check_reference(inspected(output, held).inspection)
+        check_reference(inspected(output, sampled_N).inspection)
     with pytest.raises(InputError, match="never changes"):
         check_reference(inspected(output, 0 * force_N).inspection)
     check_reference(inspected(output, force_N).inspection)
 
 
-def test_a_baseline_that_jumps_and_a_counter_that_wraps_are_told_apart(press_unit: PressUnit) -> None:
+def test_a_baseline_that_jumps_and_a_counter_that_wraps_are_distinguished(press_unit: PressUnit) -> None:
     output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy()
     counts = np.round(30000 + 10000 * (output - 0.5) / np.ptp(output))
     stepped, wrapped = output.copy(), (counts + 32768) % 65536 - 32768
@@ -356,10 +357,10 @@ def test_a_reference_that_stands_still_while_the_output_is_pressed_is_named(
         row, still = int(part * len(output)), force_N.copy()
         stop = len(output) if seconds is None else row + round(seconds * RATE_HZ)
         still[row:stop] = still[row]
-        found = inspected(output, still).inspection.of_kind("stuck")
-        pressed = np.ptp(np.quantile(output[row:stop], (0.05, 0.95))) / np.ptp(np.quantile(output, (0.01, 0.99)))
-        if pressed > 0.6:
-            assert [(one.start, one.stop, one.column) for one in found] == [(row, stop, "reference")], name
+        finding = inspected(output, still).inspection.of_kind("stuck")
+        pressed_share = np.ptp(np.quantile(output[row:stop], (0.05, 0.95))) / np.ptp(np.quantile(output, (0.01, 0.99)))
+        if pressed_share > 0.6:
+            assert [(one.start, one.stop, one.column) for one in finding] == [(row, stop, "reference")], name
             with pytest.raises(InputError, match=f"line {row + 2} .*reference: it stands still.*channel"):
                 check_reference(inspected(output, still).inspection, np.arange(len(output)) + 2)
         assert inspected(output, force_N).inspection.of_kind("stuck") == (), name
@@ -391,9 +392,9 @@ def test_an_output_that_is_cut_off_is_named_and_measured_ones_are_not(part: floa
         is_rising = np.median(output[:50]) < (low + high) / 2
         level = low + part * (high - low) if is_rising else high - part * (high - low)
         clipped = np.minimum(output, level) if is_rising else np.maximum(output, level)
-        (found,) = inspected(clipped, rate_Hz=rate_Hz).inspection.of_kind("clipped")
-        assert (found.value, found.amount) == (level, pytest.approx(np.count_nonzero(clipped == level), rel=0.01))
-        assert clipped[found.start] == level
+        (finding,) = inspected(clipped, rate_Hz=rate_Hz).inspection.of_kind("clipped")
+        assert (finding.value, finding.amount) == (level, pytest.approx(np.count_nonzero(clipped == level), rel=0.01))
+        assert clipped[finding.start] == level
 
 
 def test_what_is_masked_is_decided_by_the_configuration_that_is_given(press_unit: PressUnit) -> None:
@@ -410,14 +411,14 @@ def test_what_is_masked_is_decided_by_the_configuration_that_is_given(press_unit
 
 @pytest.mark.parametrize(("start_s", "kind"), [(8.0, "pause"), (9.0, "gap")])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_pause_at_rest_is_told_from_lost_samples(start_s: float, kind: str, sign: float) -> None:
+def test_a_pause_at_rest_is_distinguished_from_lost_samples(start_s: float, kind: str, sign: float) -> None:
     # Presses of 2 s, 2 s apart; the logger stands still for a minute at rest, or loses samples in a press.
     t_s = np.arange(2000) / 50
     output = 1 + sign * np.maximum(np.sin(np.pi * (t_s - 0.5) / 2), 0) * (t_s % 4 < 2.5)
     paused = t_s + 60.0 * (t_s >= start_s)
     result = inspected(output, t_s=paused)
-    (found,) = result.inspection.of_kind("pause", "gap")
-    assert (found.kind, found.start, round(found.value)) == (kind, round(start_s * 50), 60)
+    (pause,) = result.inspection.of_kind("pause", "gap")
+    assert (pause.kind, pause.start, round(pause.value)) == (kind, round(start_s * 50), 60)
     method = Method()
     missing = missing_samples(result.recording, method.inspection)
     (finding,) = missing_findings(result.recording, method)

@@ -36,9 +36,9 @@ def unit(press, seconds: float) -> LabelledRecording:  # type: ignore[no-untyped
 def test_forecast_of_a_unit_that_lost_a_few_samples(source_model: SourceModel, press, seconds, count, seed) -> None:  # type: ignore[no-untyped-def]
     whole = unit(press, seconds).unlabelled
     part = without(whole, scattered(len(whole), count, seed))
-    usual, spoilt = (fit_unit(UnitProblem(source_model, one))[0] for one in (whole, part))
-    assert spoilt.family == usual.family
-    assert spoilt.forecast.rmse == pytest.approx(usual.forecast.rmse, rel=0.05)
+    usual, with_gaps = (fit_unit(UnitProblem(source_model, one))[0] for one in (whole, part))
+    assert with_gaps.family == usual.family
+    assert with_gaps.forecast.rmse == pytest.approx(usual.forecast.rmse, rel=0.05)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -48,9 +48,9 @@ def test_rest_and_peak_do_not_depend_on_how_many_pieces_lost_samples_leave(press
     starts = np.arange(40 + 31 * seed, len(whole) - 40, 149)
     is_lost = np.zeros(len(whole), dtype=bool)
     is_lost[(starts[:, None] + np.arange(length)).ravel()] = True
-    usual, spoilt = (match_ends(source, one, METHOD.map) for one in (whole, without(whole, is_lost)))
-    assert spoilt.gain == pytest.approx(usual.gain, rel=0.03)
-    assert spoilt.gain_error == pytest.approx(usual.gain_error, rel=0.3)
+    usual, with_gaps = (match_ends(source, one, METHOD.map) for one in (whole, without(whole, is_lost)))
+    assert with_gaps.gain == pytest.approx(usual.gain, rel=0.03)
+    assert with_gaps.gain_error == pytest.approx(usual.gain_error, rel=0.3)
 
 
 def test_pieces_far_from_each_other_are_not_joined(press) -> None:  # type: ignore[no-untyped-def]
@@ -70,9 +70,9 @@ def test_stage_histories_go_on_across_a_lost_sample(press) -> None:  # type: ign
 
     source, whole = staged(press(1, serial="S0", seconds=120.0)), staged(unit(press, 60))
     part = without(whole, scattered(len(whole), 20, 0))
-    found, target_rows = paired_by_stage(source, part, METHOD.map)
+    pairs, target_rows = paired_by_stage(source, part, METHOD.map)
     usual, usual_rows = paired_by_stage(source, whole, METHOD.map)
     expected = dict(zip(whole.window_rows[usual_rows].tolist(), usual.tolist(), strict=True))
     at = np.searchsorted(whole.t_s, part.t_s[part.window_rows[target_rows]])
-    is_same = [expected.get(int(row)) == match for row, match in zip(at, found.tolist(), strict=True)]
+    is_same = [expected.get(int(row)) == match for row, match in zip(at, pairs.tolist(), strict=True)]
     assert np.mean(is_same) > 0.99

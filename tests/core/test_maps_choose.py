@@ -81,8 +81,8 @@ def test_late_clock_is_found_and_undone(make, source):
 
 def test_opening_that_both_recordings_share_is_paired_and_the_rest_is_not(make, source, trained):
     parts_at = 1500
-    own_way = presses(50, 1500)
-    problem = make(np.concatenate([source.reference[:parts_at], own_way]))
+    other_presses = presses(50, 1500)
+    problem = make(np.concatenate([source.reference[:parts_at], other_presses]))
     chosen = choose_map(problem)
     mapped, raw = after(problem, chosen)
     assert chosen.family == "synchronous"
@@ -102,12 +102,12 @@ def test_a_long_opening_does_not_make_the_whole_one_load(make, source):
 
 def test_one_slow_rise_alike_is_no_opening():
     rise = np.linspace(0.0, 3.0, 1500)
-    known = LabelledRecording(
+    source = LabelledRecording(
         recording("S", np.concatenate([rise, presses(3, 1500)])),
         np.concatenate([rise, presses(3, 1500)]),
     )
     target = recording("T", np.concatenate([rise, presses(4, 1500)]), GAIN, OFFSET, 9)
-    assert not find_synchrony(known.unlabelled, target, MapConfig()).is_synchronous
+    assert not find_synchrony(source.unlabelled, target, MapConfig()).is_synchronous
 
 
 def test_stage_position_pairs_another_programme(make):
@@ -243,8 +243,8 @@ def test_known_loads_do_not_harm_a_unit_that_is_paired_well(make, source):
     problem = make(source.reference)
     loads = np.array([0.0, 2.5])
     anchors = Anchors((0.5 + 0.1 * loads + 0.02 * loads**2 - OFFSET) / GAIN, loads)
-    without, given = (after(problem, choose_map(replace(problem, anchors=a)))[0] for a in (None, anchors))
-    assert given < 1.02 * without
+    without, with_loads = (after(problem, choose_map(replace(problem, anchors=a)))[0] for a in (None, anchors))
+    assert with_loads < 1.02 * without
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -252,13 +252,13 @@ def test_known_loads_show_a_paired_unit_that_was_pressed_with_another_load(make,
     problem = make(factor * source.reference)
     loads = np.array([0.0, 2.5])
     anchors = Anchors((0.5 + 0.1 * loads + 0.02 * loads**2 - OFFSET) / GAIN, loads)
-    without, given = (choose_map(replace(problem, anchors=a)) for a in (None, anchors))
-    assert given.family == without.family == "synchronous"
-    assert after(problem, given)[0] < 0.3 * after(problem, without)[0]
+    without, with_loads = (choose_map(replace(problem, anchors=a)) for a in (None, anchors))
+    assert with_loads.family == without.family == "synchronous"
+    assert after(problem, with_loads)[0] < 0.3 * after(problem, without)[0]
 
 
 @pytest.mark.parametrize(
-    ("family", "pressed", "within_N"),
+    ("family", "load_factor", "within_N"),
     [
         ("identity", 0.925, 0.06),
         ("two_point", 0.85, 0.06),
@@ -269,22 +269,22 @@ def test_known_loads_show_a_paired_unit_that_was_pressed_with_another_load(make,
         ("stage_matched", 0.7, 0.13),
     ],
 )
-def test_a_known_load_is_read_to_within_its_uncertainty(linear_network, family, pressed, within_N):
+def test_a_known_load_is_read_to_within_its_uncertainty(linear_network, family, load_factor, within_N):
     """The source is noisy by 0.1 N a sample. A press passes a load in three, so what it puts out is known to 0.06 N."""
     noise_V = np.random.default_rng(3).normal(0.0, 0.01, (2, 6000))
     load_N = presses(1, 6000)
-    own_N = load_N if family == "synchronous" else presses(8, 6000)
+    unit_load_N = load_N if family == "synchronous" else presses(8, 6000)
     t_s = np.arange(6000) / 50.0
-    source_V, unit_V = 0.5 + 0.1 * load_N + noise_V[0], 0.5 + 0.1 * pressed * own_N + noise_V[1]
+    source_V, unit_V = 0.5 + 0.1 * load_N + noise_V[0], 0.5 + 0.1 * load_factor * unit_load_N + noise_V[1]
     source = LabelledRecording(OutputRecording("S", t_s, source_V, 50.0, stage_mm=load_N), load_N)
-    target = OutputRecording("T", t_s, unit_V, 50.0, stage_mm=own_N)
+    target = OutputRecording("T", t_s, unit_V, 50.0, stage_mm=unit_load_N)
     # The others take its softer presses for the source's; its output stands as low where none is taken for another.
-    known_V = np.array([0.5 + 0.1 * 2.5 * (pressed if family == "identity" else 1.0)])
+    anchor_V = np.array([0.5 + 0.1 * 2.5 * (load_factor if family == "identity" else 1.0)])
     problem = FitProblem(source, linear_network, target, config=MapConfig(family))
-    given = replace(problem, anchors=Anchors(known_V, np.array([2.5])))
+    anchored = replace(problem, anchors=Anchors(anchor_V, np.array([2.5])))
     before, after = (
-        float(linear_network.evaluate(choose_map(one).unit_map.apply(np.full((1, 15), known_V)))[0]) - 2.5
-        for one in (problem, given)
+        float(linear_network.evaluate(choose_map(one).unit_map.apply(np.full((1, 15), anchor_V)))[0]) - 2.5
+        for one in (problem, anchored)
     )
     assert abs(before) > 2.5 * within_N
     assert abs(after) < within_N
@@ -334,8 +334,8 @@ def test_two_loads_say_how_well_they_fix_gain_and_zero(make):
     problem = make(presses(4, 3000))
     loads = np.array([0.0, 2.5])
     for _ in range(20):
-        stated = loads + rng.normal(0, 0.01, 2)
-        anchors = Anchors((0.5 + 0.1 * loads + 0.02 * loads**2 - OFFSET) / GAIN, stated)
+        stated_N = loads + rng.normal(0, 0.01, 2)
+        anchors = Anchors((0.5 + 0.1 * loads + 0.02 * loads**2 - OFFSET) / GAIN, stated_N)
         chosen = choose_map(replace(problem, anchors=anchors, config=MapConfig("two_point")))
         gain = float(chosen.evidence["anchor_gain"]) * float(chosen.unit_map.arrays()["gain"])
         misses.append((gain / GAIN - 1) / float(chosen.evidence["gain_error"]))
@@ -356,14 +356,14 @@ def test_measured_sensors_are_read_no_worse_with_two_known_loads(measured_data: 
     at = [int(np.argmin(np.abs(target.reference[:800] - load_N))) for load_N in (0.0, 3.0)]
     anchors = Anchors(target.unlabelled.output[at], target.reference[at])
     test = target.part(800, 1200)
-    without, given = (
+    without, with_loads = (
         rmse(
             network.evaluate(choose_map(replace(problem, anchors=a)).unit_map.apply(test.windows)),
             test.window_reference,
         )
         for a in (None, anchors)
     )
-    assert given < 1.02 * without
+    assert with_loads < 1.02 * without
 
 
 def test_anchored_map_survives_its_arrays(make):
@@ -388,22 +388,22 @@ def test_measured_taxels_under_one_pressure_are_found_synchronous_and_other_days
         assert not find_synchrony(source, taxel(other, name), MapConfig()).is_synchronous
 
 
-def bent(serial: str, force_N: np.ndarray, bend: float, gain: float = 1.0, offset: float = 0.0) -> OutputRecording:
+def bent(serial: str, force_N: np.ndarray, curvature: float, gain: float = 1.0, offset: float = 0.0) -> OutputRecording:
     """A sensor whose output rises by 0.1 V/N and bends by so many V/N^2."""
     noise = np.random.default_rng(len(serial)).normal(0, NOISE_V, len(force_N))
-    output = (0.5 + 0.1 * force_N + bend * force_N**2 - offset) / gain + noise
+    output = (0.5 + 0.1 * force_N + curvature * force_N**2 - offset) / gain + noise
     return OutputRecording(serial, np.arange(len(output)) / 50.0, output, 50.0)
 
 
-@pytest.mark.parametrize(("bend", "family"), [(0.002, "two_point"), (0.06, "averaged")])
-def test_two_known_loads_leave_a_straight_source_its_line(bend: float, family: str) -> None:
-    load_N, own_N = presses(1, 3000), presses(7, 3000, dwell=60.0)
-    source = LabelledRecording(bent("S", load_N, bend), load_N)
+@pytest.mark.parametrize(("curvature", "family"), [(0.002, "two_point"), (0.06, "averaged")])
+def test_two_known_loads_leave_a_linear_source_its_affine_map(curvature: float, family: str) -> None:
+    load_N, unit_load_N = presses(1, 3000), presses(7, 3000, dwell=60.0)
+    source = LabelledRecording(bent("S", load_N, curvature), load_N)
     network = fit_network(source, NetworkConfig(hidden=(32, 16), max_epochs=25)).network
-    problem = FitProblem(source, network, bent("T", own_N, bend, GAIN, OFFSET))
+    problem = FitProblem(source, network, bent("T", unit_load_N, curvature, GAIN, OFFSET))
     at_N = np.array([0.0, 2.7])
-    known = Anchors((0.5 + 0.1 * at_N + bend * at_N**2 - OFFSET) / GAIN, at_N)
+    anchors = Anchors((0.5 + 0.1 * at_N + curvature * at_N**2 - OFFSET) / GAIN, at_N)
     assert choose_map(problem).family == "averaged"
-    assert choose_map(replace(problem, anchors=known)).family == family
-    one = Anchors(known.output[:1], known.reference[:1])
+    assert choose_map(replace(problem, anchors=anchors)).family == family
+    one = Anchors(anchors.output[:1], anchors.reference[:1])
     assert choose_map(replace(problem, anchors=one)).family == "averaged"

@@ -143,8 +143,8 @@ def test_exact_map_agrees_with_pot_on_the_windows_it_was_fitted_to(rng: np.rando
 
 def test_exact_map_of_an_unseen_window_moves_with_its_neighbours() -> None:
     fitted = family("exact").fit(problem(presses(1, 900), presses(1, 900)))
-    between = target_output(np.full(15, 1.234567))[None, :]
-    assert fitted.apply(between)[0, -1] == pytest.approx(source_output(np.array([1.234567]))[0], abs=0.02)
+    unseen_window = target_output(np.full(15, 1.234567))[None, :]
+    assert fitted.apply(unseen_window)[0, -1] == pytest.approx(source_output(np.array([1.234567]))[0], abs=0.02)
 
 
 def test_joint_transport_uses_labels_where_windows_alone_are_lost() -> None:
@@ -153,7 +153,7 @@ def test_joint_transport_uses_labels_where_windows_alone_are_lost() -> None:
     assert relative_error(family("joint").fit(mixed), load_N) < 1.2 * relative_error(family("exact").fit(mixed), load_N)
 
 
-def test_curve_goes_straight_on_beyond_its_knots() -> None:
+def test_curve_is_linear_beyond_its_knots() -> None:
     curve = CurveMap(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 3.0]), "monotone")
     assert np.allclose(curve(np.array([-1.0, 0.5, 1.5, 4.0])), [-1.0, 0.5, 2.0, 7.0])
 
@@ -171,9 +171,11 @@ def test_continued_curve_is_the_same_inside_and_bounded_beyond() -> None:
 
 def test_slope_beyond_a_glimpse_is_drawn_to_one() -> None:
     glimpse = CurveMap(np.array([0.0, 0.1]), np.array([0.0, 0.3]), "monotone")
-    seen_whole, seen_little = (continued(glimpse, span, MAPS.curve)(np.array([1.1])) - 0.3 for span in (0.3, 30.0))
-    assert seen_whole[0] == pytest.approx(3.0)
-    assert 1.0 < seen_little[0] < 2.0
+    slope_of_wide_span, slope_of_narrow_span = (
+        continued(glimpse, span, MAPS.curve)(np.array([1.1])) - 0.3 for span in (0.3, 30.0)
+    )
+    assert slope_of_wide_span[0] == pytest.approx(3.0)
+    assert 1.0 < slope_of_narrow_span[0] < 2.0
 
 
 def test_ends_match_a_short_recording_to_stretches_as_short() -> None:
@@ -218,15 +220,15 @@ def test_a_few_windows_at_known_positions_are_enough() -> None:
 def test_positions_beyond_a_gap_do_not_mislead_the_pairs() -> None:
     load_N = presses(1, 6000)
     whole = problem(load_N, load_N, stage=True)
-    kept = np.flatnonzero(np.arange(6000) % 200 < 20)
+    rows = np.flatnonzero(np.arange(6000) % 200 < 20)
     target, stage_mm = whole.target, whole.target.stage_mm
     assert stage_mm is not None
-    holed = replace(target, t_s=target.t_s[kept], output=target.output[kept], stage_mm=stage_mm[kept])
+    holed = replace(target, t_s=target.t_s[rows], output=target.output[rows], stage_mm=stage_mm[rows])
     source_rows, target_rows = paired_by_stage(whole.source.unlabelled, holed, MAPS)
     assert len(target_rows) == len(holed.windows)
     # Both ran one profile, so that every window has its like in the source.
     at_mm = load_N[whole.source.unlabelled.window_rows[source_rows]]
-    assert np.allclose(at_mm, stage_mm[kept][holed.window_rows[target_rows]], atol=1e-9)
+    assert np.allclose(at_mm, stage_mm[rows][holed.window_rows[target_rows]], atol=1e-9)
 
 
 def test_unknown_family_lists_the_known_ones() -> None:

@@ -73,5 +73,5 @@ def test_what_f_misreads_on_the_source_is_not_handed_on_whole() -> None:
     source = recording(load_N, 1, 0.0)
     fitted = synchronous(source, load_N, network, recording(load_N / 2, 2, 0.0))
     handed_on = rmse(network.evaluate(fitted.apply_signal(load_N / 2)), load_N[14:])
-    misread = rmse(network.evaluate(source.windows), load_N[14:])
-    assert handed_on == pytest.approx(misread / 2, rel=0.2)
+    source_rmse = rmse(network.evaluate(source.windows), load_N[14:])
+    assert handed_on == pytest.approx(source_rmse / 2, rel=0.2)

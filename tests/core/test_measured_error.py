@@ -26,39 +26,39 @@ def test_an_audit_is_scored_on_every_row_that_has_an_estimate(source_model, pres
     late_s = raw.t_s + np.where(np.arange(len(raw)) >= 1000, 2.0, 0.0)
     gapped = LabelledRecording(replace(raw, t_s=late_s), audit.reference)
     model = replace(source_model, method=Method(map=MapConfig(family="affine")))
-    made = calibrate(UnitProblem(model, unit.unlabelled, Limit("N", 2.0), audit=gapped))
-    found = estimate(linear_network, made, gapped.unlabelled)
-    has_estimate = np.isfinite(found.estimate)
-    error = found.estimate[has_estimate] - gapped.reference[has_estimate]
-    assert made.scores is not None
-    assert made.scores.after.rmse == np.sqrt(np.mean(error**2))
-    assert made.scores.after.rows == has_estimate.sum() == len(audit) - 2 * (TAPS - 1)
-    flags = pd.Series(found.flag[~has_estimate]).value_counts().to_dict()
-    assert made.scores.unscored == flags == {"warm-up": TAPS - 1, "gap": TAPS - 1}
+    calibration = calibrate(UnitProblem(model, unit.unlabelled, Limit("N", 2.0), audit=gapped))
+    estimates = estimate(linear_network, calibration, gapped.unlabelled)
+    has_estimate = np.isfinite(estimates.estimate)
+    error = estimates.estimate[has_estimate] - gapped.reference[has_estimate]
+    assert calibration.scores is not None
+    assert calibration.scores.after.rmse == np.sqrt(np.mean(error**2))
+    assert calibration.scores.after.rows == has_estimate.sum() == len(audit) - 2 * (TAPS - 1)
+    flags = pd.Series(estimates.flag[~has_estimate]).value_counts().to_dict()
+    assert calibration.scores.unscored == flags == {"warm-up": TAPS - 1, "gap": TAPS - 1}
 
 
 def test_the_own_calibration_is_compared_on_its_test_rows_alone(source_model, press, linear_network) -> None:
     unit, audit = press(2, gain=1.3, seconds=120.0), press(3, gain=1.3)
-    made = calibrate(UnitProblem(source_model, unit.unlabelled, Limit("N", 2.0)))
+    calibration = calibrate(UnitProblem(source_model, unit.unlabelled, Limit("N", 2.0)))
     config = NetworkConfig(hidden=(8,), max_epochs=20)
-    scores = score_map(linear_network, made.unit_map, audit, DecisionConfig(), config)
+    scores = score_map(linear_network, calibration.unit_map, audit, DecisionConfig(), config)
     assert scores.own is not None and scores.own.own.rows < scores.after.rows
     rows = np.arange(len(audit) - scores.own.own.rows, len(audit))
-    found = estimate(linear_network, made, audit.unlabelled).estimate
-    assert scores.own.after == MeasuredError.from_estimates(found[rows], audit.reference[rows])
-    again = score_map(linear_network, made.unit_map, audit, DecisionConfig(), scores.own.own)
+    estimates = estimate(linear_network, calibration, audit.unlabelled).estimate
+    assert scores.own.after == MeasuredError.from_estimates(estimates[rows], audit.reference[rows])
+    again = score_map(linear_network, calibration.unit_map, audit, DecisionConfig(), scores.own.own)
     assert again == scores
 
 
 def test_the_interval_covers_the_error_that_more_rows_would_show(rng) -> None:
     """Errors that are alike within a window: 95 % intervals hold the true error in at least 95 of 100 audits."""
-    held = 0
+    covered = 0
     for _ in range(400):
         white = rng.normal(size=1200 + 99)
         error = lfilter(np.ones(TAPS // 3) / np.sqrt(TAPS // 3), [1.0], white)[99:]
-        found = MeasuredError.from_estimates(error, np.zeros_like(error)).interval
-        held += found.lower <= 1.0 <= found.upper
-    assert held / 400 >= 0.95
+        interval = MeasuredError.from_estimates(error, np.zeros_like(error)).interval
+        covered += interval.lower <= 1.0 <= interval.upper
+    assert covered / 400 >= 0.95
 
 
 def test_the_interval_of_a_measured_pair_holds_that_of_resampled_blocks(measured_data, rng) -> None:
@@ -74,14 +74,14 @@ def test_the_interval_of_a_measured_pair_holds_that_of_resampled_blocks(measured
     unit = softcal.fit_map(network, tables[1][["t_s", "output"]], limit_rmse=0.40, audit=tables[1])
     error = (unit.estimate(tables[1])["estimate"] - tables[1].reference).dropna().to_numpy()
     starts = rng.integers(0, len(error) - 50, (2000, len(error) // 50))
-    drawn = error[(starts[..., None] + np.arange(50)).reshape(2000, -1)]
-    low, high = np.quantile(np.sqrt(np.mean(drawn**2, axis=1)), [0.025, 0.975])
+    resampled = error[(starts[..., None] + np.arange(50)).reshape(2000, -1)]
+    low, high = np.quantile(np.sqrt(np.mean(resampled**2, axis=1)), [0.025, 0.975])
     scores = unit.state.scores
     assert scores is not None and scores.after.rows == len(error) == 1186
     assert scores.after.rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12) == unit.rmse(tables[1])
-    stated = scores.after.interval
-    assert stated.lower <= low <= high <= stated.upper
-    assert stated.upper - stated.lower < 2.5 * (high - low)
+    interval = scores.after.interval
+    assert interval.lower <= low <= high <= interval.upper
+    assert interval.upper - interval.lower < 2.5 * (high - low)
 
 
 def test_no_window_reaches_over_a_gap_in_the_score(source_model, press, linear_network) -> None:

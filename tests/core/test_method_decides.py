@@ -51,12 +51,12 @@ def qualified(method):
                 for lot in range(lots)
                 for unit in audited(10, 0.1)
             ]
-            found = qualify([], past, NOW, "EG", method)
-            yield found.source, found.reason.to_json()
+            qualification = qualify([], past, NOW, "EG", method)
+            yield qualification.source, qualification.reason.to_json()
     yield [qualify(audited(count, 0.1), [], NOW, "EG", method, units=30).required for count in range(10)]
 
 
-def stated(method):
+def criterion_of(method):
     """What a paper says of a lot: risk, confidence and what a poor lot falls short of."""
     qualification = qualify(audited(20, 0.1), [], NOW, "EG", method)
     for forecasts in ({"U": 0.2}, {"U": 0.2, "V": 9.0, "W": 9.0}):
@@ -90,7 +90,7 @@ def suspected(method):
 
 
 def decided(method):
-    cases = (released, qualified, stated, widened, suspected)
+    cases = (released, qualified, criterion_of, widened, suspected)
     return [[str(one) for one in case(method)] for case in cases]
 
 
@@ -143,8 +143,8 @@ def test_a_correction_takes_the_number_of_audits_of_the_units_own_method(source_
     state = calibrate(UnitProblem(source_model, press(7, 1.2, 0.03, 80.0, "A1").unlabelled))
     lines = {f"U{k}": AuditedLine(LoadLine(1.1 + 0.001 * k, 0.05)) for k in range(4)}
     method = state.fit.method
-    for least, is_corrected in ((4, True), (5, False)):
-        other = replace(method, release=replace(method.release, min_correction_audits=least))
-        asked = replace(state, fit=replace(state.fit, method=other))
-        found = LotCorrection(1, lines).apply(asked, source_model.source).correction
-        assert (found is not None) == is_corrected and other.id != method.id
+    for min_audits, is_corrected in ((4, True), (5, False)):
+        other = replace(method, release=replace(method.release, min_correction_audits=min_audits))
+        state_by_other_method = replace(state, fit=replace(state.fit, method=other))
+        correction = LotCorrection(1, lines).apply(state_by_other_method, source_model.source).correction
+        assert (correction is not None) == is_corrected and other.id != method.id

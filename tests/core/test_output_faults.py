@@ -96,8 +96,8 @@ def test_a_reading_that_freezes_in_mid_range_asks_for_a_retest(press, source):
     start = int(np.flatnonzero(np.abs(output - 0.65) < 0.01)[0])
     output[start : start + 400] = output[start]
     pair = replace(press(2).unlabelled, output=output), source
-    found = health_findings(*pair, output_limits(*pair, is_rising=True, method=Method()), Method())
-    assert [f.best for f in found if f.kind == "stuck"] == ["retest"]
+    findings = health_findings(*pair, output_limits(*pair, is_rising=True, method=Method()), Method())
+    assert [f.best for f in findings if f.kind == "stuck"] == ["retest"]
 
 
 def test_a_short_recording_says_how_much_is_needed(press, source):

@@ -27,17 +27,17 @@ MEASURED = np.array(AIAG.split(), dtype=float).reshape(3, 3, 10).transpose(2, 0,
 
 def test_average_and_range_study_matches_the_published_one():
     study = study_by_ranges(MEASURED)
-    found = (study.repeatability, study.reproducibility, study.grr, study.parts, study.total)
+    components = (study.repeatability, study.reproducibility, study.grr, study.parts, study.total)
     # The book goes on from a mean range rounded to 0.3417.
-    assert found == pytest.approx((0.20188, 0.22963, 0.30575, 1.10456, 1.14610), abs=5e-5)
+    assert components == pytest.approx((0.20188, 0.22963, 0.30575, 1.10456, 1.14610), abs=5e-5)
     assert study.grr_percent == pytest.approx(26.68, abs=0.01)
     assert (study.categories, study.word) == (5, "conditional")
 
 
 def test_anova_study_matches_the_published_one():
     study = study_by_anova(MEASURED)
-    found = (study.repeatability, study.reproducibility, study.interaction, study.grr, study.parts)
-    assert found == pytest.approx((0.199933, 0.226838, 0.0, 0.302373, 1.042327), abs=2e-6)
+    components = (study.repeatability, study.reproducibility, study.interaction, study.grr, study.parts)
+    assert components == pytest.approx((0.199933, 0.226838, 0.0, 0.302373, 1.042327), abs=2e-6)
     assert study.grr_percent == pytest.approx(27.9, abs=0.05)
     assert study.interaction_p == pytest.approx(stats.f.sf(0.434, 18, 60), abs=2e-4)
 
@@ -47,8 +47,8 @@ def test_a_study_recovers_the_variances_it_was_made_from(rng):
     measured = rng.normal(0, 2.0, (parts, 1, 1)) + rng.normal(0, 0.5, (1, stations, 1))
     measured = measured + rng.normal(0, 0.3, (parts, stations, 1)) + rng.normal(0, 0.2, (parts, stations, trials))
     study = study_by_anova(measured)
-    found = (study.parts, study.reproducibility, study.interaction, study.repeatability)
-    assert found == pytest.approx((2.0, 0.5, 0.3, 0.2), rel=0.25)
+    components = (study.parts, study.reproducibility, study.interaction, study.repeatability)
+    assert components == pytest.approx((2.0, 0.5, 0.3, 0.2), rel=0.25)
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,8 @@ PATTERNS = {
 def test_each_pattern_is_found_by_its_rule_at_its_last_point(rule):
     text, length, find = RULES[rule - 1]
     z = np.array(PATTERNS[rule], dtype=float)
-    found = find(np.lib.stride_tricks.sliding_window_view(z, length))
-    assert found[-1], text
+    is_found = find(np.lib.stride_tricks.sliding_window_view(z, length))
+    assert is_found[-1], text
     assert not find(np.lib.stride_tricks.sliding_window_view(np.zeros(length) + 0.01, length)).any() or rule in (2, 7)
 
 
@@ -129,18 +129,18 @@ def test_capability_matches_its_closed_form(rng):
     # NIST/SEMATECH e-Handbook 6.1.6: limits 8 and 20, mean 16, sigma 2 give Cp 1.0 and Cpk 0.6667.
     chart = stable_chart(rng)
     values = 16 + 2 * (chart.values - chart.centre) / chart.sigma
-    found = capability(control_chart(values), 8.0, 20.0)
-    assert (found.cp, found.cpk) == pytest.approx((1.0, 0.6667), abs=1e-4)
-    assert (found.pp, found.ppk) == pytest.approx((2 / values.std(ddof=1), 4 / (3 * values.std(ddof=1))))
+    indices = capability(control_chart(values), 8.0, 20.0)
+    assert (indices.cp, indices.cpk) == pytest.approx((1.0, 0.6667), abs=1e-4)
+    assert (indices.pp, indices.ppk) == pytest.approx((2 / values.std(ddof=1), 4 / (3 * values.std(ddof=1))))
 
 
 def test_the_interval_of_cpk_is_the_one_of_bissell(rng):
     chart = stable_chart(rng)
     maximum = float(chart.values.mean()) + 3 * 1.33 * chart.sigma
-    found = capability(chart, None, maximum)
+    indices = capability(chart, None, maximum)
     half = 1.959964 * np.sqrt(1 / (9 * 30) + 1.33**2 / (2 * 29))
-    assert (found.cp, found.cpk) == (None, pytest.approx(1.33))
-    assert (found.cpk_lower, found.cpk_upper) == pytest.approx((1.33 - half, 1.33 + half))
+    assert (indices.cp, indices.cpk) == (None, pytest.approx(1.33))
+    assert (indices.cpk_lower, indices.cpk_upper) == pytest.approx((1.33 - half, 1.33 + half))
 
 
 def test_a_limit_below_counts_as_one_above_does(rng):
@@ -173,8 +173,8 @@ def test_a_unit_that_waits_for_evidence_counts_in_no_yield():
     good, bad, waits = UnitRun("pass"), UnitRun("fail", (Reason("reversed"),)), UnitRun("conditional")
     new = yields({serial: [waits] for serial in "ABC"})
     assert new.first_pass.value is new.last_pass.value is None
-    found = yields({"A": [waits, good], "B": [waits], "C": [good, bad]})
-    assert (found.first_pass, found.last_pass) == (Share(2, 2), Share(1, 2))
+    lot_yields = yields({"A": [waits, good], "B": [waits], "C": [good, bad]})
+    assert (lot_yields.first_pass, lot_yields.last_pass) == (Share(2, 2), Share(1, 2))
     # Who asks for conditional units too counts them.
     assert yields({"A": [waits], "B": [bad]}, good=("pass", "conditional")).last_pass == Share(1, 2)
 
@@ -182,10 +182,10 @@ def test_a_unit_that_waits_for_evidence_counts_in_no_yield():
 def test_yields_count_each_unit_once_and_leave_golden_units_out():
     short = reason("too_little_data", windows=3, presses=1, enough_windows=500, enough_presses=3)
     good, bad, again = UnitRun("pass"), UnitRun("fail", (Reason("reversed"),)), UnitRun("retest", (short,))
-    found = yields({"A": [good], "B": [bad, good], "C": [again, bad], "D": [], "G": [bad]}, golden={"G"})
-    assert (found.first_pass.count, found.second_pass.count, found.last_pass.count) == (1, 2, 2)
-    assert found.first_pass.of == 3 and (found.runs.count, found.runs.of) == (2, 5)
-    assert found.reasons == ((Reason("reversed"), 1),)
+    lot_yields = yields({"A": [good], "B": [bad, good], "C": [again, bad], "D": [], "G": [bad]}, golden={"G"})
+    assert (lot_yields.first_pass.count, lot_yields.second_pass.count, lot_yields.last_pass.count) == (1, 2, 2)
+    assert lot_yields.first_pass.of == 3 and (lot_yields.runs.count, lot_yields.runs.of) == (2, 5)
+    assert lot_yields.reasons == ((Reason("reversed"), 1),)
 
 
 def test_reasons_are_counted_by_their_kind_whatever_their_numbers():

@@ -168,13 +168,13 @@ def test_an_interruption_breaks_the_window_and_keeps_the_map(bench: Bench) -> No
     t_s, output_V, _ = stream()
     follower = make(bench, "ot")
     follower.advance(t_s[:900], output_V[:900])
-    kept = follower.unit_map
+    map_before = follower.unit_map
 
     follower.reconnect()
 
     rows = follower.advance(t_s[:40] + 500, output_V[900:940])
     assert np.isnan(rows.estimate[: TAPS - 1]).all() and np.isfinite(rows.estimate[TAPS - 1 :]).all()
-    assert follower.unit_map is kept
+    assert follower.unit_map is map_before
 
 
 def test_what_cannot_be_is_refused(bench: Bench) -> None:
@@ -239,13 +239,13 @@ def test_known_loads_outlast_every_swap(bench: Bench, mode: str) -> None:
     wrong = AffineMap(0.9, 0.1 * REST_V, "affine")
     anchored = with_fitted(calibration, unit_map=AnchoredMap(wrong, 1 / 0.9, REST_V - REST_V / 0.9))
     t_s, _, force_N = stream()
-    used_N = 0.6 * force_N
+    later_N = 0.6 * force_N
     config = AdaptConfig(mode, DriftTracking(online=OnlineConfig(QUEUE)))
 
-    rows = QueuedTransport(network, anchored, source.unlabelled, source, config).advance(t_s, read_V(used_N, 5))
+    rows = QueuedTransport(network, anchored, source.unlabelled, source, config).advance(t_s, read_V(later_N, 5))
 
     # Mapped onto the source, whose loads are 1 / 0.6 as large, every estimate would be so too.
-    assert rmse(rows.estimate, used_N) < 0.1
+    assert rmse(rows.estimate, later_N) < 0.1
 
 
 def test_estimates_never_wait_for_a_plan(bench: Bench) -> None:

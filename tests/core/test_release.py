@@ -201,13 +201,13 @@ def _here(count):
 
 def test_enough_audits_of_the_lot_qualify_it():
     assert qualify(_here(9), [], NOW, "", METHOD).source == "this lot"
-    found = qualify(_here(6), [], NOW, "EG", METHOD)
-    assert not found.is_given and found.required == found.reason.values["missing"] == 3
+    qualification = qualify(_here(6), [], NOW, "EG", METHOD)
+    assert not qualification.is_given and qualification.required == qualification.reason.values["missing"] == 3
 
 
 def test_audits_of_earlier_lots_qualify_the_same_product_and_method():
-    found = qualify([], _past(), NOW, "EG", METHOD)
-    assert found.source == "earlier lots" and len(found.audits) == 20
+    qualification = qualify([], _past(), NOW, "EG", METHOD)
+    assert qualification.source == "earlier lots" and len(qualification.audits) == 20
 
 
 @pytest.mark.parametrize(
@@ -222,9 +222,13 @@ def test_audits_of_earlier_lots_qualify_the_same_product_and_method():
     ],
 )
 def test_what_does_not_count_is_named(past, model, method, code):
-    found = qualify(_here(2), past, NOW, model, method)
-    why = found.reason.values["why"]
-    assert not found.is_given and why.code == f"part.{code}" and found.reason.values["missing"] == found.required == 7
+    qualification = qualify(_here(2), past, NOW, model, method)
+    why = qualification.reason.values["why"]
+    assert (
+        not qualification.is_given
+        and why.code == f"part.{code}"
+        and qualification.reason.values["missing"] == qualification.required == 7
+    )
     assert why.values.get("days", 365) == 365
 
 
@@ -257,7 +261,7 @@ def test_the_interval_serves_one_more_unit_however_differently_units_were_presse
     assert pooled_served < served
 
 
-def test_the_widening_follows_its_closed_form():
+def test_the_interval_inflation_follows_its_closed_form():
     half = np.array([3.0, 4.0])
     assert np.allclose(IntervalInflation(1.0, 4.0)(half), [5.0, np.hypot(4, 4)])
     assert np.array_equal(IntervalInflation()(half), half)
@@ -296,15 +300,15 @@ def test_the_few_good_units_of_a_poor_lot_are_not_released():
     assert release(forecasts, audits, LIMIT, RULES, min_count=min_passing(26, 10, RULES)).released == ()
 
 
-@pytest.mark.parametrize(("units", "audited", "left"), [(1, 0, 1), (9, 2, 7), (5, 5, 0)])
-def test_a_lot_with_no_unit_left_after_the_audits_is_told_to_measure_all_of_it(units, audited, left):
-    found = qualify(_here(audited), [], NOW, "EG", METHOD, units=units)
-    assert not found.is_given and found.required == left
-    assert found.reason.code == "part.unqualified_small"
-    assert found.reason.values["small"].values == {"units": units, "wanted": 9, "least": 3}
+@pytest.mark.parametrize(("units", "audited", "remaining"), [(1, 0, 1), (9, 2, 7), (5, 5, 0)])
+def test_a_lot_with_no_unit_left_after_the_audits_is_advised_to_measure_all_of_it(units, audited, remaining):
+    qualification = qualify(_here(audited), [], NOW, "EG", METHOD, units=units)
+    assert not qualification.is_given and qualification.required == remaining
+    assert qualification.reason.code == "part.unqualified_small"
+    assert qualification.reason.values["small"].values == {"units": units, "wanted": 9, "least": 3}
 
 
-def test_a_lot_with_a_unit_to_spare_is_told_how_many_to_audit():
+def test_a_lot_with_a_unit_to_spare_is_advised_how_many_to_audit():
     assert qualify(_here(1), [], NOW, "EG", METHOD, units=10).reason.values["missing"] == 8
 
 
@@ -317,9 +321,9 @@ def test_a_small_lot_is_shown_no_promise_it_cannot_have():
 def test_a_lot_whose_every_unit_was_measured_has_nothing_left_to_promise():
     audits = [AuditedUnit("A", 0.1, 0.2), AuditedUnit("B", 0.1, 2.0)]
     decided = release_lot({}, qualify(audits, [], NOW, "EG", METHOD, units=2), LIMIT, RULES)
-    seen = decided.statement.values["seen"].values
+    values = decided.statement.values["seen"].values
     assert decided.statement.code == "release.none_left"
-    assert (seen["audits"].values, seen["beyond"], seen["limit"], seen["unit"]) == ({"audits": 2}, 1, 1.0, "N")
+    assert (values["audits"].values, values["beyond"], values["limit"], values["unit"]) == ({"audits": 2}, 1, 1.0, "N")
 
 
 def test_a_forecast_is_multiplied_by_what_audits_measured_of_theirs_and_by_nothing_without_them():
@@ -327,8 +331,8 @@ def test_a_forecast_is_multiplied_by_what_audits_measured_of_theirs_and_by_nothi
     forecasts = {"light": 0.3, "heavy": 0.75}
     decided = release_lot(forecasts, qualify(audits, [], NOW, "EG", METHOD, units=14), LIMIT, RULES)
     assert decided.forecast_scale == pytest.approx(1.5)
-    said = {serial: decided.sample_release(serial, 1) for serial in forecasts}
-    assert [said[serial].assess(rmse, LIMIT).verdict for serial, rmse in forecasts.items()] == [
+    releases = {serial: decided.sample_release(serial, 1) for serial in forecasts}
+    assert [releases[serial].assess(rmse, LIMIT).verdict for serial, rmse in forecasts.items()] == [
         "pass",
         "fail",
     ]
@@ -373,14 +377,14 @@ def test_sittings_are_counted_where_they_are_what_varies():
 
 def test_the_promise_holds_for_a_sitting_that_nobody_audited():
     # 24 audited units of six sittings; counted as units alone they would promise what sittings do not keep.
-    beyond, promised = [], 0
+    beyond, bounds = [], 0
     for seed in range(200):
         audits = _sample({f"s{k}": 4 for k in range(6)}, 0.4, seed)
         decided = _decided(audits, {f"U{k}": "new" for k in range(8)})
-        promised += bool(decided.released)
+        bounds += bool(decided.released)
         true = 0.2 * np.exp(0.4 * np.random.default_rng(1000 + seed).normal())
         beyond.append(bool(decided.released) and true > LIMIT.maximum_rmse)
-    assert promised > 20 and np.mean(beyond) <= 0.1
+    assert bounds > 20 and np.mean(beyond) <= 0.1
 
 
 def test_units_that_share_their_error_with_none_are_released_as_before():

@@ -37,10 +37,10 @@ def objecting(press_again: bool = False) -> Answering:
 
 @pytest.fixture
 def rule_in_force(monkeypatch: pytest.MonkeyPatch) -> Callable[[Rule], None]:
-    def put(rule: Rule) -> None:
+    def install(rule: Rule) -> None:
         monkeypatch.setattr(rules, "RULES", {identity(rule): rule})
 
-    return put
+    return install
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +57,11 @@ def test_a_rule_holds_a_unit_back_whatever_was_forecast_or_measured(source_model
     assert calibrate(problem(source_model, unit, audit=unit)).decision.verdict == "pass"
     rule_in_force(objecting())
     for audit in (None, unit):
-        made = calibrate(problem(source_model, unit, audit=audit))
-        assert made.decision.verdict == "fail"
-        assert made.decision.predicted.verdict == "fail", "a release by sample would let it through"
-        (held,) = [one for one in made.decision.reasons if one.code == "rule.held"]
-        assert held.values["rule"] == "house 1" and "its label is missing: glue one on" in str(held)
+        calibration = calibrate(problem(source_model, unit, audit=audit))
+        assert calibration.decision.verdict == "fail"
+        assert calibration.decision.predicted.verdict == "fail", "a release by sample would let it through"
+        (reason_held,) = [one for one in calibration.decision.reasons if one.code == "rule.held"]
+        assert reason_held.values["rule"] == "house 1" and "its label is missing: glue one on" in str(reason_held)
 
 
 def test_a_rule_may_ask_for_another_recording(source_model, unit, rule_in_force) -> None:
@@ -70,16 +70,16 @@ def test_a_rule_may_ask_for_another_recording(source_model, unit, rule_in_force)
 
 
 def test_a_rule_sees_the_unit_and_no_reference_of_it(source_model, unit, rule_in_force) -> None:
-    seen: list[RuleInput] = []
-    rule_in_force(Answering(lambda rule_input: iter(seen.append(rule_input) or [])))
-    made = calibrate(problem(source_model, unit, audit=unit))
-    (rule_input,) = seen
-    assert made.decision.verdict == "pass"
+    inputs: list[RuleInput] = []
+    rule_in_force(Answering(lambda rule_input: iter(inputs.append(rule_input) or [])))
+    calibration = calibrate(problem(source_model, unit, audit=unit))
+    (rule_input,) = inputs
+    assert calibration.decision.verdict == "pass"
     assert rule_input.recording is unit.unlabelled and rule_input.source is source_model.source
     assert rule_input.limit.maximum_rmse == 2.0 and rule_input.measured_rmse == pytest.approx(
-        made.scores.after.rmse, rel=0.1
+        calibration.scores.after.rmse, rel=0.1
     )
-    assert rmse(rule_input.estimate, unit.window_reference) == pytest.approx(made.scores.after.rmse, rel=0.1)
+    assert rmse(rule_input.estimate, unit.window_reference) == pytest.approx(calibration.scores.after.rmse, rel=0.1)
     assert not any(isinstance(value, type(unit)) and value is unit for value in vars(rule_input).values())
 
 
@@ -88,9 +88,9 @@ def test_a_rule_that_breaks_lets_nothing_pass_and_stops_no_lot(source_model, uni
         raise KeyError("gauge")
 
     rule_in_force(Answering(broken))
-    made = calibrate(problem(source_model, unit, audit=unit))
-    assert made.decision.verdict == "retest"
-    broken_by = made.decision.reasons[0]
+    calibration = calibrate(problem(source_model, unit, audit=unit))
+    assert calibration.decision.verdict == "retest"
+    broken_by = calibration.decision.reasons[0]
     assert (broken_by.code, broken_by.values["rule"]) == ("rule.broken", "house 1")
     assert "KeyError: 'gauge'" in str(broken_by)
 
@@ -118,7 +118,7 @@ COUNT = count()
 
 
 @pytest.mark.parametrize(
-    ("rule", "fact"),
+    ("rule", "message"),
     [
         (object(), "`name`"),
         (replace(objecting(), version=" "), "`version`"),
@@ -128,6 +128,6 @@ COUNT = count()
         (Answering(lambda rule_input: iter([Objection("x")] if rule_input.measured_rmse > 1 else [])), "TypeError"),  # type: ignore[operator]
     ],
 )
-def test_the_kit_finds_what_a_rule_does_wrong(rule: Rule, fact: str) -> None:
-    assert any(fact in fault for fault in faults(rule))
+def test_the_kit_finds_what_a_rule_does_wrong(rule: Rule, message: str) -> None:
+    assert any(message in fault for fault in faults(rule))
     assert faults(objecting()) == []

@@ -14,24 +14,24 @@ CLOSE = {"rel": 1e-12}
 @pytest.mark.parametrize("confidence", [0.5, 0.9, 0.95, 0.99])
 @pytest.mark.parametrize(("checked", "failed"), [(1, 0), (9, 0), (22, 1), (100, 3), (1000, 40)])
 def test_bounds_of_a_share(checked: int, failed: int, confidence: float) -> None:
-    wanted = stats.binomtest(failed, checked, alternative="less").proportion_ci(confidence).high
-    assert failing_share(checked, failed, confidence) == pytest.approx(wanted, rel=1e-8)
+    expected = stats.binomtest(failed, checked, alternative="less").proportion_ci(confidence).high
+    assert failing_share(checked, failed, confidence) == pytest.approx(expected, rel=1e-8)
     beta = stats.beta.ppf(confidence, failed + 1, checked - failed)
     assert failing_share(checked, failed, confidence) == pytest.approx(beta, **CLOSE)
 
 
 @pytest.mark.parametrize(("count", "rank"), [(9, 9), (10, 10), (19, 18), (40, 37)])
 def test_what_lies_beyond_a_bound(count: int, rank: int) -> None:
-    wanted = stats.beta.ppf(0.9, count - rank + 1, rank)
-    assert share_beyond(count, 0.1, 0.9) == pytest.approx(wanted, **CLOSE)
+    expected = stats.beta.ppf(0.9, count - rank + 1, rank)
+    assert share_beyond(count, 0.1, 0.9) == pytest.approx(expected, **CLOSE)
 
 
 @pytest.mark.parametrize("risk", [0.05, 0.1])
 @pytest.mark.parametrize(("count", "degrees"), [(2, 1), (5, 4), (22, 21), (3.5, 40)])
 def test_the_factor_of_a_tolerance(count: float, degrees: float, risk: float) -> None:
     shift = stats.norm.ppf(1 - risk) * np.sqrt(count)
-    wanted = stats.nct.ppf(0.9, degrees, shift) / np.sqrt(count)
-    assert tolerance_factor(count, degrees, risk, 0.9) == pytest.approx(wanted, rel=1e-9)
+    expected = stats.nct.ppf(0.9, degrees, shift) / np.sqrt(count)
+    assert tolerance_factor(count, degrees, risk, 0.9) == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_one_more_value_exceeds(rng: np.random.Generator) -> None:

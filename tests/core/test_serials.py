@@ -66,7 +66,7 @@ def test_serials_of_any_script_may_be(serial: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("serial", "named"),
+    ("serial", "message"),
     [
         ("A 1", "U+0020 SPACE"),
         ("A/1", "U+002F SOLIDUS"),
@@ -89,10 +89,10 @@ def test_serials_of_any_script_may_be(serial: str) -> None:
         ("센서 1", "U+0020 SPACE"),
     ],
 )
-def test_what_is_no_letter_or_digit_is_named(serial: str, named: str) -> None:
+def test_what_is_no_letter_or_digit_is_named(serial: str, message: str) -> None:
     with pytest.raises(InputError) as bad:
         check_serial(serial)
-    assert named in str(bad.value) and str(bad.value).isprintable()
+    assert message in str(bad.value) and str(bad.value).isprintable()
 
 
 @pytest.mark.parametrize("serial", ["", "-1", ".1", "_1", "a..b", "A1.", "CON", "nul.v2", "가" * 65, "A" * 65])
@@ -117,8 +117,8 @@ def test_an_escaped_serial_turns_back_and_names_a_file_everywhere(serial: str) -
 def test_no_two_serials_have_one_name(several: list[str]) -> None:
     several = [check_serial(serial) for serial in several]
     different = len(set(several))
-    for named in (escape_serial, c_name):
-        assert len({named(serial) for serial in several}) == different
+    for encode in (escape_serial, c_name):
+        assert len({encode(serial) for serial in several}) == different
 
 
 @given(serials)
@@ -135,11 +135,11 @@ def test_the_field_of_a_device_turns_back_where_it_is_whole(serial: str) -> None
     serial = check_serial(serial)
     field = blob.serial_field(serial)
     assert len(field) == 20 and field.isascii()
-    shown = blob.decode_serial(field)
+    decoded = blob.decode_serial(field)
     # What was shortened keeps its own field: both name the same unit.
-    assert blob.serial_field(shown) == field
+    assert blob.serial_field(decoded) == field
     if len(escape_serial(serial)) <= 20:
-        assert shown == serial
+        assert decoded == serial
 
 
 @pytest.mark.parametrize("escaped", ["~é", "~A1", "~!!", "~-", "~a\x80"])

@@ -20,7 +20,7 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.lot_fit import LotMap
-from tests.presses import held_presses
+from tests.presses import dwelling_presses
 
 RATE_HZ, NOISE_V = 50.0, 0.0005
 UNITS = 6
@@ -28,17 +28,17 @@ UNITS = 6
 
 def unit(serial: str, force_N: np.ndarray, seed: int, start_s: float = 0.0) -> LabelledRecording:
     """A unit of a gain, a rest and a bend of its own."""
-    own = np.random.default_rng([seed, 7])
-    gain, rest, bend = own.uniform(0.8, 1.2), own.uniform(0.4, 0.6), own.uniform(-0.015, 0.02)
+    unit_rng = np.random.default_rng([seed, 7])
+    gain, rest, curvature = unit_rng.uniform(0.8, 1.2), unit_rng.uniform(0.4, 0.6), unit_rng.uniform(-0.015, 0.02)
     noise = np.random.default_rng([seed, len(force_N)]).normal(0, NOISE_V, len(force_N))
-    output = rest + gain * (0.1 * force_N + bend * force_N**2) + noise
+    output = rest + gain * (0.1 * force_N + curvature * force_N**2) + noise
     t_s = start_s + np.arange(len(output)) / RATE_HZ
     return LabelledRecording(OutputRecording(serial, t_s, output, RATE_HZ), force_N)
 
 
 @pytest.fixture(scope="module")
 def source() -> LabelledRecording:
-    return unit("S0", held_presses(1, 4000, dwell=2.0), 0)
+    return unit("S0", dwelling_presses(1, 4000, dwell=2.0), 0)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def network(source: LabelledRecording) -> Network:
 
 def lot(spread: float = 0.0, units: int = UNITS, programme: int = 9) -> list[LabelledRecording]:
     """Units pressed together under a programme that the source did not have: held much longer."""
-    return [unit(f"U{k}", held_presses(programme, 3000, 60.0, spread, k), k) for k in range(1, units + 1)]
+    return [unit(f"U{k}", dwelling_presses(programme, 3000, 60.0, spread, k), k) for k in range(1, units + 1)]
 
 
 def outputs(units: list[LabelledRecording]) -> list[OutputRecording]:
@@ -57,12 +57,12 @@ def outputs(units: list[LabelledRecording]) -> list[OutputRecording]:
 
 def errors(fit: LotFit, network: Network, alone: bool) -> np.ndarray:
     """Error of each map on a recording that no fit has seen."""
-    found = []
+    errors_found = []
     for serial, one in fit.units.items():
-        test = unit(serial, held_presses(33, 2000, dwell=5.0), int(serial[1:]))
+        test = unit(serial, dwelling_presses(33, 2000, dwell=5.0), int(serial[1:]))
         unit_map = one.alone.unit_map if alone else one.unit_map
-        found.append(rmse(network.evaluate(unit_map.apply(test.windows)), test.window_reference))
-    return np.array(found)
+        errors_found.append(rmse(network.evaluate(unit_map.apply(test.windows)), test.window_reference))
+    return np.array(errors_found)
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +78,8 @@ def test_a_load_that_all_share_is_known_better_than_by_any_of_them(fit, network)
 
 def test_its_uncertainties_are_those_of_its_estimates(fit, network):
     (group,) = fit.groups
-    known = held_presses(9, 3000, 60.0)[14:]
-    common = rmse(group.load, known)
+    load_N = dwelling_presses(9, 3000, 60.0)[14:]
+    common = rmse(group.load, load_N)
     # What all misread alike is no part of it: the true error is no smaller than this by much, and not far beyond.
     assert 0.3 * common < group.common_rmse < 3 * common
     for one in fit.units.values():
@@ -89,7 +89,7 @@ def test_its_uncertainties_are_those_of_its_estimates(fit, network):
 
 def test_the_order_of_the_units_changes_nothing(source, network, fit):
     backwards = fit_lot(source, network, outputs(lot())[::-1])
-    test = unit("U2", held_presses(33, 2000, dwell=5.0), 2)
+    test = unit("U2", dwelling_presses(33, 2000, dwell=5.0), 2)
     one, other = (network.evaluate(f.units["U2"].unit_map.apply(test.windows)) for f in (fit, backwards))
     assert rmse(one, other) < 0.02 * np.ptp(test.reference)
 
@@ -102,19 +102,19 @@ def test_a_map_is_rebuilt_from_what_is_stored(fit):
 
 def test_who_was_pressed_otherwise_keeps_its_own_map_and_is_named(source, network):
     units = lot()
-    foreign = unit("U5", held_presses(77, 3000, 60.0), 5)
+    foreign = unit("U5", dwelling_presses(77, 3000, 60.0), 5)
     still = replace(units[5].unlabelled, output=np.full(3000, 0.5))
     fit = fit_lot(source, network, [*outputs(units[:4]), foreign.unlabelled, still])
     assert fit.members == ("U1", "U2", "U3", "U4")
     assert fit.outliers["U5"].code == "lot_fit.alone" and list(fit.refused) == ["U6"]
-    own = choose_map(FitProblem(source, network, foreign.unlabelled)).unit_map
-    assert map_sha256(fit.units["U5"].unit_map) == map_sha256(own)
+    own_map = choose_map(FitProblem(source, network, foreign.unlabelled)).unit_map
+    assert map_sha256(fit.units["U5"].unit_map) == map_sha256(own_map)
 
 
 def test_a_unit_that_no_map_brings_to_the_others_stands_alone(source, network):
     units = lot()
     # A press that slips now and then on one unit: as synchronous as the rest, and not under their load.
-    slipping = held_presses(9, 3000, 60.0)
+    slipping = dwelling_presses(9, 3000, 60.0)
     slipping[900:1100] *= 0.7
     fit = fit_lot(source, network, [*outputs(units[:5]), unit("U6", slipping, 6).unlabelled])
     assert fit.members == tuple(f"U{k}" for k in range(1, 6))
@@ -123,7 +123,7 @@ def test_a_unit_that_no_map_brings_to_the_others_stands_alone(source, network):
 
 def test_a_unit_that_swings_like_noise_under_the_common_load_stands_alone(source, network):
     units = outputs(lot())
-    jitter = 0.05 * np.resize(np.repeat([1.0, -1.0], 5), 3000) * (held_presses(9, 3000, 60.0) > 0.5)
+    jitter = 0.05 * np.resize(np.repeat([1.0, -1.0], 5), 3000) * (dwelling_presses(9, 3000, 60.0) > 0.5)
     noisy = replace(units[5], output=units[5].output + jitter)
     fit = fit_lot(source, network, [*units[:5], noisy])
     assert fit.members == tuple(f"U{k}" for k in range(1, 6))
@@ -150,7 +150,7 @@ def test_clocks_that_differ_and_gaps_are_no_obstacle(source, network, fit):
 
 
 def test_who_was_pressed_with_the_source_keeps_its_pairs(source, network):
-    units = [unit(f"U{k}", held_presses(1, 4000, dwell=2.0), k) for k in range(1, 4)]
+    units = [unit(f"U{k}", dwelling_presses(1, 4000, dwell=2.0), k) for k in range(1, 4)]
     fit = fit_lot(source, network, outputs(units))
     assert {why.code for why in fit.outliers.values()} == {"lot_fit.known"} and not fit.groups
 
@@ -162,12 +162,14 @@ def test_two_units_say_nothing_of_each_other(source, network):
 
 def test_the_cost_is_linear_in_the_units(source, network, monkeypatch):
     calls = []
-    found = common_load.find_synchrony
-    monkeypatch.setattr(common_load, "find_synchrony", lambda *args: calls.append(1) or found(*args))
+    find_synchrony = common_load.find_synchrony
+    monkeypatch.setattr(common_load, "find_synchrony", lambda *args: calls.append(1) or find_synchrony(*args))
     counts = []
     for count in (10, 20, 30):
         calls.clear()
-        fit_lot(source, network, [unit(f"U{k}", held_presses(100 + k, 800, 20.0), k).unlabelled for k in range(count)])
+        fit_lot(
+            source, network, [unit(f"U{k}", dwelling_presses(100 + k, 800, 20.0), k).unlabelled for k in range(count)]
+        )
         counts.append(len(calls))
     steps = [b - a for a, b in pairwise(counts)]
     assert steps[0] == steps[1]
@@ -177,23 +179,25 @@ def read_by_sources(fit: LotFit) -> dict[str, tuple[LoadGroup, ...]]:
     """Common loads by three sources; the load cell of the last reads low, and so does its network."""
     groups = {"S0": fit.groups}
     for serial, factor in (("S1", 1.0), ("S2", 0.75)):
-        force_N = held_presses(40 + int(serial[1:]), 4000, dwell=2.0)
-        known = replace(unit(serial, force_N, 50 + int(serial[1:])), reference=factor * force_N)
-        own = fit_network(known, NetworkConfig(hidden=(24, 12), max_epochs=40)).network
-        groups[serial] = fit_lot(known, own, outputs(lot()), paired=()).groups
+        force_N = dwelling_presses(40 + int(serial[1:]), 4000, dwell=2.0)
+        source_recording = replace(unit(serial, force_N, 50 + int(serial[1:])), reference=factor * force_N)
+        own_network = fit_network(source_recording, NetworkConfig(hidden=(24, 12), max_epochs=40)).network
+        groups[serial] = fit_lot(source_recording, own_network, outputs(lot()), paired=()).groups
     return groups
 
 
 def test_a_source_whose_network_reads_the_lot_low_is_named_with_what_its_units_err_by(fit):
     biases = compare_sources(read_by_sources(fit), SharedLoadConfig())
     assert {serial for serial, one in biases.items() if one.is_bad} == {"S2"}
-    known = held_presses(9, 3000, 60.0)
+    load_N = dwelling_presses(9, 3000, 60.0)
     one = biases["S2"]
-    assert one.bias == pytest.approx(np.mean(0.75 * known) - np.mean(known), abs=2.5 * one.uncertainty)
-    assert one.others == 2 and one.common_rmse > 0.5 * rmse(0.75 * known, known)
-    said = one.to_reason("S2", "N")
+    assert one.bias == pytest.approx(np.mean(0.75 * load_N) - np.mean(load_N), abs=2.5 * one.uncertainty)
+    assert one.others == 2 and one.common_rmse > 0.5 * rmse(0.75 * load_N, load_N)
+    reason = one.to_reason("S2", "N")
     assert (
-        said.code == "lot_fit.source.low" and "(sources: 2)" in str(said) and biases["S0"].to_reason("S0", "N") is None
+        reason.code == "lot_fit.source.low"
+        and "(sources: 2)" in str(reason)
+        and biases["S0"].to_reason("S0", "N") is None
     )
     group = LotMap.from_group(fit.units["U1"], fit.groups[0], ["a"], 1, one).part
     assert group.common_rmse == max(one.common_rmse, fit.groups[0].common_rmse)
@@ -216,9 +220,9 @@ def test_units_that_another_network_reads_show_the_load_and_get_no_map(source, n
 
 
 def line_share(
-    spread: float = 0.07, bend: float = 0.02, apart: float = 0.08, gain: float = 0.02, units: int = 20
+    spread: float = 0.07, curvature: float = 0.02, apart: float = 0.08, gain: float = 0.02, units: int = 20
 ) -> float:
-    share, error = weigh_lines(spread**2, bend, apart**2, gain, units, MapConfig())
+    share, error = weigh_lines(spread**2, curvature, apart**2, gain, units, MapConfig())
     assert 0.0 <= share <= 1.0 and error > 0.0
     return share
 
@@ -235,16 +239,16 @@ def test_lines_and_curves_of_a_lot_are_weighed_so_that_what_errs_apart_errs_leas
     lines, curves = gain * rng.standard_normal(40_000), dwell * rng.standard_normal(40_000)
     apart = float(np.mean((lines - curves) ** 2))
     share, error = weigh_lines(1e-9, 0.0, apart, gain, 20, MapConfig())
-    left = [np.sqrt(np.mean((s * lines + (1 - s) * curves) ** 2)) for s in np.linspace(0.0, 1.0, 101)]
-    assert share == pytest.approx(np.argmin(left) / 100, abs=0.03)
-    assert np.hypot(error, share * gain) == pytest.approx(min(left), rel=0.03)
+    rms_by_weight = [np.sqrt(np.mean((s * lines + (1 - s) * curves) ** 2)) for s in np.linspace(0.0, 1.0, 101)]
+    assert share == pytest.approx(np.argmin(rms_by_weight) / 100, abs=0.03)
+    assert np.hypot(error, share * gain) == pytest.approx(min(rms_by_weight), rel=0.03)
 
 
 def test_a_source_that_is_bent_beyond_its_units_takes_weight_from_the_lines():
-    shares = [line_share(bend=bend) for bend in (0.0, 0.05, 0.1, 0.2, 0.4)]
+    shares = [line_share(curvature=curvature) for curvature in (0.0, 0.05, 0.1, 0.2, 0.4)]
     assert shares == sorted(shares, reverse=True) and shares[0] > 0.5 > 2 * shares[3]
     # Units that hardly differ from each other are bent as their source, however much that is.
-    assert line_share(spread=0.005, bend=0.1) > 0.9
+    assert line_share(spread=0.005, curvature=0.1) > 0.9
 
 
 def test_a_dwell_gives_the_lines_weight_and_bends_that_differ_take_it():

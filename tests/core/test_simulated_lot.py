@@ -9,8 +9,11 @@ SHORT = {"good": 4, "source_s": 60.0, "unit_s": 20.0, "audit_s": 20.0, "has_stag
 
 
 def test_no_effect_of_the_line_changes_nothing():
-    plain, said = simulate_lot(3, LotDesign(**SHORT)), simulate_lot(3, LotDesign(**SHORT, line=LineEffects()))
-    assert [u.recording.sha256 for u in plain.units] == [u.recording.sha256 for u in said.units]
+    plain, with_no_effects = (
+        simulate_lot(3, LotDesign(**SHORT)),
+        simulate_lot(3, LotDesign(**SHORT, line=LineEffects())),
+    )
+    assert [u.recording.sha256 for u in plain.units] == [u.recording.sha256 for u in with_no_effects.units]
 
 
 def test_a_day_is_one_gain_and_zero_for_all_units_and_spares_the_audits():
@@ -23,15 +26,15 @@ def test_a_day_is_one_gain_and_zero_for_all_units_and_spares_the_audits():
 
 
 def test_a_spread_of_the_load_reaches_the_recordings_alone():
-    pressed = simulate_lot(5, LotDesign(**SHORT, line=LineEffects(load_spread=0.12)))
-    peaks = [(np.ptp(u.recording.output), np.ptp(u.audit.unlabelled.output)) for u in pressed.units]
+    spread_lot = simulate_lot(5, LotDesign(**SHORT, line=LineEffects(load_spread=0.12)))
+    peaks = [(np.ptp(u.recording.output), np.ptp(u.audit.unlabelled.output)) for u in spread_lot.units]
     assert np.std([recorded / audited for recorded, audited in peaks]) > 0.02
 
 
 def test_programmes_outside_the_shifts_press_as_their_names_say():
-    reach = {}
+    ranges = {}
     for name in ("own programme", "below half"):
         assert name not in SHIFTS
         lot = simulate_lot(2, LotDesign(**SHORT, shift=name))
-        reach[name] = max(float(u.recording.stage_mm.max()) for u in lot.units) / 3.5
-    assert reach["below half"] <= 0.5 < 0.9 < reach["own programme"]
+        ranges[name] = max(float(u.recording.stage_mm.max()) for u in lot.units) / 3.5
+    assert ranges["below half"] <= 0.5 < 0.9 < ranges["own programme"]

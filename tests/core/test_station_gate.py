@@ -49,33 +49,33 @@ REASONS = {
 }
 
 
-@pytest.mark.parametrize(("change", "code", "fact"), REASONS.values(), ids=REASONS)
-def test_each_reason_alone_closes_the_gate(change, code, fact):
+@pytest.mark.parametrize(("change", "code", "message"), REASONS.values(), ids=REASONS)
+def test_each_reason_alone_closes_the_gate(change, code, message):
     gate = may_run(replace(GOOD, **change))
     assert not gate.is_open
     (why,) = gate.reasons
-    assert why.code == f"gate.{code}" and fact in str(why)
+    assert why.code == f"gate.{code}" and message in str(why)
 
 
-def test_a_good_station_may_run_and_what_is_good_is_told_too():
+def test_a_good_station_may_run_and_what_is_good_is_reported_too():
     assert may_run(GOOD).is_open and len(may_run(GOOD).conditions) == 6
     assert all(condition.is_good and str(condition.says) for condition in may_run(GOOD).conditions)
 
 
 def test_a_rig_without_a_load_cell_is_not_asked_for_its_certificate():
-    facts = replace(GOOD, certificate=None, has_cell=False, rig=RigStatus())
-    assert may_run(facts).is_open and len(may_run(facts).conditions) == 2
+    status = replace(GOOD, certificate=None, has_cell=False, rig=RigStatus())
+    assert may_run(status).is_open and len(may_run(status).conditions) == 2
 
 
 def test_a_bench_in_development_may_do_without_certificate_and_golden_unit():
-    facts = replace(GOOD, certificate=None, golden=None, needs_certificate=False, needs_golden=False)
-    assert may_run(facts).is_open
+    status = replace(GOOD, certificate=None, golden=None, needs_certificate=False, needs_golden=False)
+    assert may_run(status).is_open
 
 
-def test_all_reasons_are_said_at_once():
+def test_all_reasons_are_reported_at_once():
     rig = replace(WARM, zero_fault="load cell: reads 3 N unloaded", homing_fault="ALARM:8")
-    facts = replace(GOOD, certificate=None, golden=None, rig=rig)
-    assert len(may_run(facts).reasons) == 4
+    status = replace(GOOD, certificate=None, golden=None, rig=rig)
+    assert len(may_run(status).reasons) == 4
 
 
 def test_the_last_day_of_a_certificate_still_counts():
@@ -83,9 +83,9 @@ def test_the_last_day_of_a_certificate_still_counts():
 
 
 def test_a_golden_unit_may_qualify_a_station_again():
-    facts = replace(GOOD, golden=GoldenCheck(NOW, "G1", False))
-    assert may_run(facts, OrderKind.GOLDEN).is_open
-    assert not may_run(replace(facts, certificate=None), OrderKind.GOLDEN).is_open
+    status = replace(GOOD, golden=GoldenCheck(NOW, "G1", False))
+    assert may_run(status, OrderKind.GOLDEN).is_open
+    assert not may_run(replace(status, certificate=None), OrderKind.GOLDEN).is_open
 
 
 def test_an_override_opens_the_gate_until_it_ends_and_keeps_the_reasons():
@@ -98,17 +98,17 @@ def test_an_override_opens_the_gate_until_it_ends_and_keeps_the_reasons():
 def test_units_since_the_last_good_check_are_quarantined():
     minutes = [NOW - timedelta(minutes=m) for m in (50, 40, 30, 20, 10)]
     checks = [GoldenCheck(minutes[0], "G1", True), GoldenCheck(minutes[2], "G1", True), GoldenCheck(NOW, "G1", False)]
-    pressed = [("A4", minutes[4]), ("A2", minutes[1]), ("A3", minutes[3])]
-    assert quarantined_units(pressed, checks, NOW) == ("A3", "A4")
-    assert quarantined_units(pressed, checks[:2], NOW) == ()
-    assert quarantined_units(pressed, checks[2:], NOW) == ("A2", "A3", "A4")
+    presses = [("A4", minutes[4]), ("A2", minutes[1]), ("A3", minutes[3])]
+    assert quarantined_units(presses, checks, NOW) == ("A3", "A4")
+    assert quarantined_units(presses, checks[:2], NOW) == ()
+    assert quarantined_units(presses, checks[2:], NOW) == ("A2", "A3", "A4")
 
 
 def test_a_failed_check_of_a_clock_that_was_ahead_is_not_forgotten():
     began, later = NOW - timedelta(hours=1), NOW + timedelta(days=300)
     good, failed = GoldenCheck(began, "G1", True), GoldenCheck(later, "G1", False)
-    pressed = [("A1", began - timedelta(hours=1)), ("A2", NOW - timedelta(minutes=5)), ("A3", later)]
-    assert quarantined_units(pressed, [failed, good], NOW) == ("A2", "A3")
+    presses = [("A1", began - timedelta(hours=1)), ("A2", NOW - timedelta(minutes=5)), ("A3", later)]
+    assert quarantined_units(presses, [failed, good], NOW) == ("A2", "A3")
     # A good check of such a clock says nothing of now.
     ahead = replace(failed, is_in_control=True)
-    assert quarantined_units(pressed, [good, replace(failed, at=NOW), ahead], NOW) == ("A2", "A3")
+    assert quarantined_units(presses, [good, replace(failed, at=NOW), ahead], NOW) == ("A2", "A3")

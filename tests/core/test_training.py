@@ -112,7 +112,7 @@ def saturated(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("make", "count", "fact"),
+    ("make", "count", "message"),
     [
         (constant_output, 600, "output"),
         (constant_reference, 600, "reference"),
@@ -120,8 +120,8 @@ def saturated(n: int) -> tuple[np.ndarray, np.ndarray]:
         (saturated, 100, "150"),
     ],
 )
-def test_source_that_cannot_teach_is_refused_in_one_line(make, count: int, fact: str) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(InputError, match=rf"\bS\b.*{fact}") as refused:
+def test_source_that_cannot_teach_is_refused_in_one_line(make, count: int, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=rf"\bS\b.*{message}") as refused:
         fit_network(recording(*make(count)))
     assert "\n" not in str(refused.value)
 

@@ -50,16 +50,16 @@ def behind(trimmed: Trim) -> AnchoredMap:
 
 
 def test_two_loads_mend_gain_and_zero(problem: FitProblem, press: Press, linear_network: Network) -> None:
-    found = trim(problem, AffineMap(1.0, 0.0), interval(), loads(0.0, 2.5))
+    result = trim(problem, AffineMap(1.0, 0.0), interval(), loads(0.0, 2.5))
     test = press(6, gain=GAIN, offset_V=OFFSET_V)
-    error = rmse(linear_network.evaluate(behind(found).apply(test.windows)), test.window_reference)
-    assert found.after_rmse < 0.1 * found.before_rmse
+    error = rmse(linear_network.evaluate(behind(result).apply(test.windows)), test.window_reference)
+    assert result.after_rmse < 0.1 * result.before_rmse
     # The noise alone is 0.02 N; the map as it was reads 0.9 N wrong.
     assert error < 0.06
 
 
 @pytest.mark.parametrize(
-    "given",
+    "anchors",
     [
         loads(1.0),
         loads(1.0, 1.1),
@@ -72,29 +72,29 @@ def test_two_loads_mend_gain_and_zero(problem: FitProblem, press: Press, linear_
         Anchors(1e3 * loads(0.0, 2.5).output, np.array([0.0, 2.5])),
     ],
 )
-def test_loads_that_cannot_be_of_this_unit_are_refused_in_one_line(problem: FitProblem, given: Anchors) -> None:
+def test_loads_that_cannot_be_of_this_unit_are_refused_in_one_line(problem: FitProblem, anchors: Anchors) -> None:
     with pytest.raises(InputError) as refused:
-        trim(problem, AffineMap(1.0, 0.0), interval(), given)
+        trim(problem, AffineMap(1.0, 0.0), interval(), anchors)
     assert "\n" not in str(refused.value)
 
 
 def test_the_rows_of_a_load_that_is_stated_twice_are_named_in_whatever_order_they_stand(problem: FitProblem) -> None:
-    given = loads(2.5, 0.0, 2.5)
+    anchors = loads(2.5, 0.0, 2.5)
     with pytest.raises(InputError, match="loads 1 and 3"):
-        trim(problem, AffineMap(1.0, 0.0), interval(), given)
+        trim(problem, AffineMap(1.0, 0.0), interval(), anchors)
 
 
 def test_loads_the_map_reads_already_are_refused(problem: FitProblem) -> None:
     """What a trim corrects must be more than what it is known to."""
-    found = trim(problem, AffineMap(1.0, 0.0), interval(), loads(0.0, 2.5))
+    result = trim(problem, AffineMap(1.0, 0.0), interval(), loads(0.0, 2.5))
     with pytest.raises(InputError):
-        trim(problem, behind(found), interval(), loads(0.2, 2.0))
+        trim(problem, behind(result), interval(), loads(0.2, 2.0))
 
 
 def test_loads_that_contradict_one_another_are_refused(problem: FitProblem) -> None:
-    given = loads(0.0, 1.0, 2.5)
-    trim(problem, AffineMap(1.0, 0.0), interval(), given)
-    bent = Anchors(given.output + np.array([0.0, 0.03, 0.0]), given.reference)
+    anchors = loads(0.0, 1.0, 2.5)
+    trim(problem, AffineMap(1.0, 0.0), interval(), anchors)
+    bent = Anchors(anchors.output + np.array([0.0, 0.03, 0.0]), anchors.reference)
     with pytest.raises(InputError):
         trim(problem, AffineMap(1.0, 0.0), interval(), bent)
 
@@ -104,15 +104,15 @@ def test_what_a_trim_leaves_open_is_the_spread_of_trims_by_loads_that_are_known_
 ) -> None:
     """Loads that are wrong by what the method takes them to be known to: estimates scatter as the trim said."""
     rng, map_before = np.random.default_rng(2), AffineMap(1.0, 0.0)
-    given = loads(0.3, 2.2)
-    told = trim(problem, map_before, interval(), given)
-    said = np.sqrt(told.variance(interval()))
+    anchors = loads(0.3, 2.2)
+    result = trim(problem, map_before, interval(), anchors)
+    predicted_sd = np.sqrt(result.variance(interval()))
     levels = 3.0 * (np.arange(LEVELS) + 0.5) / LEVELS
     windows = resting(np.array([output_V(level) for level in levels]))
     # The calibration's own 90 % band is what is not known of a reading; the load itself is known ten times better.
-    found = []
+    trims = []
     for _ in range(300):
-        wrong = Anchors(given.output, given.reference + rng.normal(0, BAND_N / 1.645, 2))
-        found.append(linear_network.evaluate(behind(trim(problem, map_before, interval(), wrong)).apply(windows)))
-    spread = np.std(found, axis=0)
-    assert np.all(np.abs(said / spread - 1) < 0.15)
+        wrong = Anchors(anchors.output, anchors.reference + rng.normal(0, BAND_N / 1.645, 2))
+        trims.append(linear_network.evaluate(behind(trim(problem, map_before, interval(), wrong)).apply(windows)))
+    spread = np.std(trims, axis=0)
+    assert np.all(np.abs(predicted_sd / spread - 1) < 0.15)

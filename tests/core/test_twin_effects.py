@@ -45,8 +45,8 @@ def run(effect_id, episodes=(), temperature_C=None, **values):
 
 def low_passed(signal, tau_s):
     """Integrate τ·dy/dt = x − y with SciPy, independent of the recursion."""
-    found = solve_ivp(lambda t, y: (signal(t) - y) / tau_s, (0, T[-1]), [0.0], t_eval=T, max_step=0.01, rtol=1e-9)
-    return found.y[0]
+    solution = solve_ivp(lambda t, y: (signal(t) - y) / tau_s, (0, T[-1]), [0.0], t_eval=T, max_step=0.01, rtol=1e-9)
+    return solution.y[0]
 
 
 def test_the_base_twin_is_its_equations():
@@ -117,15 +117,15 @@ def test_mechanical_hysteresis_follows_its_differential_equation():
 
 def test_mullins_softening_counts_completed_presses():
     force, _ = run("mullins_softening", m=0.3, N0=2.0)
-    done = np.where(T < 2 * HALF_s - 0.2, 0, 1)
-    done[-1] = 2
-    np.testing.assert_allclose(force, force_N(T) * (1 - 0.3 * (1 - np.exp(-done / 2.0))), atol=1e-9)
+    completed_presses = np.where(T < 2 * HALF_s - 0.2, 0, 1)
+    completed_presses[-1] = 2
+    np.testing.assert_allclose(force, force_N(T) * (1 - 0.3 * (1 - np.exp(-completed_presses / 2.0))), atol=1e-9)
 
 
 def test_channel_creep_mixes_force_and_low_passed_force():
     _, output = run("channel_creep", c=0.3, tau=0.9)
-    felt = 0.7 * force_N(T) + 0.3 * low_passed(force_N, 0.9)
-    np.testing.assert_allclose(output, volt(resistance(felt)), atol=5e-5)
+    mixed_force_N = 0.7 * force_N(T) + 0.3 * low_passed(force_N, 0.9)
+    np.testing.assert_allclose(output, volt(resistance(mixed_force_N)), atol=5e-5)
 
 
 def test_channel_hysteresis_follows_its_differential_equation():
@@ -207,9 +207,9 @@ def test_clock_skew_stretches_the_time_of_the_output():
 def test_dropped_samples_close_up():
     _, output = run("dropped_samples", episodes=((3.0, 7.0),), count=7.0)
     _, whole = simulate(Twin(BASE, (), FINE), T, stage_mm(T))
-    lost = int(3.0 * RATE_Hz)
-    np.testing.assert_allclose(output[:lost], whole[:lost], atol=1e-9)
-    np.testing.assert_allclose(output[lost : len(T) - 7], whole[lost + 7 :], atol=1e-8)
+    row_lost = int(3.0 * RATE_Hz)
+    np.testing.assert_allclose(output[:row_lost], whole[:row_lost], atol=1e-9)
+    np.testing.assert_allclose(output[row_lost : len(T) - 7], whole[row_lost + 7 :], atol=1e-8)
 
 
 def test_every_effect_says_what_it_is():

@@ -21,14 +21,14 @@ from softcal.core.twin.effects import (
     adds,
     grows,
     hands_on,
-    sets,
+    set_signal,
 )
 from softcal.core.twin.electronics import CLIPPED_BELOW, digitise
 from softcal.core.twin.empirical_terms import VARIABLES, EmpiricalTerm, MEMORY_s
 from softcal.core.twin.forms import STOPS
 from softcal.core.twin.mechanics import elastic_force, elastic_force_at, soft_contact
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.probes import Shapes, Sizes, TAU_s, Times
+from softcal.core.twin.probes import Shapes, Sizes, TAU_s, TimeConstants
 from softcal.core.twin.properties import PROPERTIES, Violation
 from softcal.core.twin.signals import completed_presses, direction_state, largest_so_far, low_pass, play, read_at
 from softcal.core.twin.simulate import Chain, EffectSetting, Twin, TwinStream, simulate, twin_from_record, twin_record
@@ -61,16 +61,16 @@ def run(effect_id, form="", episodes=(), temperature_C=None, base=BASE, readout=
 
 def low_passed(values, tau_s, start=0.0):
     """τ·dy/dt = x − y along straight lines between the samples."""
-    found = solve_ivp(
+    solution = solve_ivp(
         lambda t, y: (np.interp(t, T, values) - y) / tau_s, (0, T[-1]), [start], t_eval=T, max_step=0.005, rtol=1e-8
     )
-    return found.y[0]
+    return solution.y[0]
 
 
 # Recursions.
 
 
-def test_a_low_pass_is_exact_along_straight_lines_of_any_step():
+def test_a_low_pass_is_exact_along_linear_segments_of_any_step():
     rng = np.random.default_rng(1)
     t_s = np.cumsum(rng.uniform(0.01, 0.4, 30))
     x = rng.normal(size=30)
@@ -174,8 +174,8 @@ def test_two_of_one_are_their_sum():
     expected = FORCE_N - 0.1 * low_passed(FORCE_N, 0.3) - 0.2 * low_passed(FORCE_N, 3.0)
     np.testing.assert_allclose(force, np.maximum(0.0, expected), atol=1e-5)
     _, output = run("channel_creep", "two creep times", c=0.1, tau=0.3, c2=0.2, tau2=3.0)
-    felt = 0.7 * FORCE_N + 0.1 * low_passed(FORCE_N, 0.3) + 0.2 * low_passed(FORCE_N, 3.0)
-    np.testing.assert_allclose(output, volt(resistance(felt)), atol=1e-5)
+    sensed_N = 0.7 * FORCE_N + 0.1 * low_passed(FORCE_N, 0.3) + 0.2 * low_passed(FORCE_N, 3.0)
+    np.testing.assert_allclose(output, volt(resistance(sensed_N)), atol=1e-5)
     force, _ = run("loadcell_creep", "two creep times", k=0.05, tau=0.5, k2=0.1, tau2=3.0)
     np.testing.assert_allclose(
         force, FORCE_N + 0.05 * low_passed(FORCE_N, 0.5) + 0.1 * low_passed(FORCE_N, 3.0), atol=1e-5
@@ -196,8 +196,8 @@ def test_two_loops_are_their_sum():
     force, _ = run("mechanical_hysteresis", "two loops", a=0.05, d0=0.2, a2=0.1, d02=1.0)
     np.testing.assert_allclose(force, FORCE_N * (1 + 0.05 * loop(DEPTH_mm, 0.2) + 0.1 * loop(DEPTH_mm, 1.0)), atol=1e-9)
     _, output = run("channel_hysteresis", "two loops", a=0.05, f0=0.5, a2=0.1, f02=2.0)
-    felt = FORCE_N * (1 + 0.05 * loop(FORCE_N, 0.5) + 0.1 * loop(FORCE_N, 2.0))
-    np.testing.assert_allclose(output, volt(resistance(felt)), atol=1e-8)
+    sensed_N = FORCE_N * (1 + 0.05 * loop(FORCE_N, 0.5) + 0.1 * loop(FORCE_N, 2.0))
+    np.testing.assert_allclose(output, volt(resistance(sensed_N)), atol=1e-8)
 
 
 def stop(x, width):
@@ -213,16 +213,16 @@ WEIGHTS = {"w0": 0.1, "w1": -0.05, "w2": 0.2, "w3": 0.15}
 
 
 def test_stop_operators_are_a_sum_of_stops():
-    reach_N = float(FORCE_N.max())
-    added = sum(w * stop(FORCE_N, share * reach_N) for w, share in zip(WEIGHTS.values(), STOPS, strict=True))
-    force, _ = run("mechanical_hysteresis", "stop operators on the force", **WEIGHTS, reach_N=reach_N)
+    max_N = float(FORCE_N.max())
+    added = sum(w * stop(FORCE_N, share * max_N) for w, share in zip(WEIGHTS.values(), STOPS, strict=True))
+    force, _ = run("mechanical_hysteresis", "stop operators on the force", **WEIGHTS, reach_N=max_N)
     np.testing.assert_allclose(force, np.maximum(0.0, FORCE_N + (DEPTH_mm > 0) * added), atol=1e-9)
-    _, output = run("channel_hysteresis", "stop operators on the force", **WEIGHTS, reach_N=reach_N)
+    _, output = run("channel_hysteresis", "stop operators on the force", **WEIGHTS, reach_N=max_N)
     np.testing.assert_allclose(output, volt(resistance(FORCE_N + added)), atol=1e-8)
-    reach_mm = float(DEPTH_mm.max())
-    bent = sum(w * stop(DEPTH_mm, share * reach_mm) for w, share in zip(WEIGHTS.values(), STOPS, strict=True))
-    given = {**WEIGHTS, "reach_mm": reach_mm, "stiffness_N_mm": 1.7}
-    force, _ = run("mechanical_hysteresis", "stop operators on the compression", **given)
+    max_mm = float(DEPTH_mm.max())
+    bent = sum(w * stop(DEPTH_mm, share * max_mm) for w, share in zip(WEIGHTS.values(), STOPS, strict=True))
+    values = {**WEIGHTS, "reach_mm": max_mm, "stiffness_N_mm": 1.7}
+    force, _ = run("mechanical_hysteresis", "stop operators on the compression", **values)
     np.testing.assert_allclose(force, np.maximum(0.0, FORCE_N + (DEPTH_mm > 0) * 1.7 * bent), atol=1e-9)
 
 
@@ -231,19 +231,19 @@ def test_constants_are_read_off_the_run_where_a_fit_gives_none(cause):
     for form in (f.effect for f in EFFECTS[cause].forms if f.effect.constants):
         read = {"reach_N": FORCE_N.max(), "reach_mm": DEPTH_mm.max(), "stiffness_N_mm": FORCE_N.max() / DEPTH_mm.max()}
         results = []
-        for own in ((), tuple(read[name] for name, _ in form.constants)):
+        for constants in ((), tuple(read[name] for name, _ in form.constants)):
             flow = Flow(T, np.diff(T, prepend=0.0), STAGE_mm, None, 5.0)
             chain = Chain([form])
-            chain.run(flow, BASE, FINE, [(*WEIGHTS.values(), *own)], chain.fresh_memories())
+            chain.run(flow, BASE, FINE, [(*WEIGHTS.values(), *constants)], chain.fresh_memories())
             results.append((flow.force_N, flow.output_V))
         np.testing.assert_allclose(results[0], results[1])
 
 
 def test_softening_has_three_laws():
     is_over = (DEPTH_mm[1:] == 0.0) & (DEPTH_mm[:-1] > 0.0)
-    done = np.concatenate([[0.0], np.cumsum(is_over)])
+    press_counts = np.concatenate([[0.0], np.cumsum(is_over)])
     force, _ = run("mullins_softening", "power of the presses", m=0.3, N0=2.0, power=0.5)
-    np.testing.assert_allclose(force, FORCE_N * (1 - 0.3 * (1 - (1 + done / 2.0) ** -0.5)), atol=1e-9)
+    np.testing.assert_allclose(force, FORCE_N * (1 - 0.3 * (1 - (1 + press_counts / 2.0) ** -0.5)), atol=1e-9)
     force, _ = run("mullins_softening", "softening with the deepest press so far", m=0.3, depth=2.0)
     deepest = np.maximum.accumulate(DEPTH_mm)
     np.testing.assert_allclose(force, FORCE_N * (1 - 0.3 * (1 - np.exp(-deepest / 2.0))), atol=1e-9)
@@ -264,13 +264,15 @@ def test_a_collapse_of_any_power():
     )
 
 
-def test_temperature_may_be_felt_late_and_bent():
+def test_temperature_may_act_late_and_nonlinearly():
     warm_C = 22.0 + 2.0 * np.sin(T)
     _, output = run(
         "thermal_drift", "curved, felt with a delay", temperature_C=warm_C, alpha=0.002, alpha2=0.001, tau=0.5
     )
-    felt = low_passed(warm_C - 22.0, 0.5)
-    np.testing.assert_allclose(output, volt(resistance(FORCE_N) * (1 + 0.002 * felt + 0.001 * felt**2)), atol=1e-6)
+    sensed_C = low_passed(warm_C - 22.0, 0.5)
+    np.testing.assert_allclose(
+        output, volt(resistance(FORCE_N) * (1 + 0.002 * sensed_C + 0.001 * sensed_C**2)), atol=1e-6
+    )
     _, at_once = run(
         "thermal_drift", "curved, felt with a delay", temperature_C=warm_C, alpha=0.002, alpha2=0.001, tau=0.0
     )
@@ -360,8 +362,8 @@ def test_a_cell_that_saturates_with_a_knee():
 
 
 def test_a_cell_may_bend_by_a_cubic_and_a_quartic_term():
-    given = {"lambda": 0.05, "quadratic": 0.02, "cubic": -0.03}
-    force, _ = run("loadcell_nonlinearity", "cubic and quartic term", **given)
+    values = {"lambda": 0.05, "quadratic": 0.02, "cubic": -0.03}
+    force, _ = run("loadcell_nonlinearity", "cubic and quartic term", **values)
     part = FORCE_N / 10.0
     expected = FORCE_N * (1 + 0.05 * (1 - part) + 0.02 * (1 - part**2) - 0.03 * (1 - part**3))
     np.testing.assert_allclose(force, expected, atol=1e-12)
@@ -372,7 +374,7 @@ def test_a_clock_may_bend():
     np.testing.assert_allclose(output, np.interp(T * (1 - 0.01 - 1e-3 * T), T, CLEAN_V), atol=1e-8)
 
 
-def test_a_clock_ahead_goes_straight_on_at_the_end():
+def test_a_clock_ahead_is_extrapolated_linearly_at_the_end():
     _, output = run("clock_offset", delta=-0.05)
     np.testing.assert_allclose(output[:-5], CLEAN_V[5:], atol=1e-8)
     slope = (CLEAN_V[-1] - CLEAN_V[-2]) / 0.01
@@ -404,8 +406,8 @@ def test_a_loss_beside_a_contact_hides_what_stands_beside_a_step():
 # Empirical terms.
 
 
-def term(place, variable, coefficient=0.1):
-    return EmpiricalTerm(place, variable, coefficient, load_N=float(FORCE_N.max()), depth_mm=float(DEPTH_mm.max()))
+def term(target, variable, coefficient=0.1):
+    return EmpiricalTerm(target, variable, coefficient, load_N=float(FORCE_N.max()), depth_mm=float(DEPTH_mm.max()))
 
 
 LOAD, DEPTH = FORCE_N / FORCE_N.max(), DEPTH_mm / DEPTH_mm.max()
@@ -437,13 +439,13 @@ def test_a_term_acts_at_its_place():
     np.testing.assert_allclose(force, FORCE_N)
     np.testing.assert_allclose(output, CLEAN_V + 0.1 * LOAD, atol=1e-8)
     force, output = simulate(Twin(BASE, (), FINE, (term("F", "t", -1.0),)), T, STAGE_mm)
-    pressed = np.maximum(0.0, FORCE_N - T * (DEPTH_mm > 0))
-    np.testing.assert_allclose(force, pressed)
-    np.testing.assert_allclose(output, volt(resistance(pressed)), atol=1e-8)
+    expected_N = np.maximum(0.0, FORCE_N - T * (DEPTH_mm > 0))
+    np.testing.assert_allclose(force, expected_N)
+    np.testing.assert_allclose(output, volt(resistance(expected_N)), atol=1e-8)
 
 
 @pytest.mark.parametrize(
-    ("place", "variable", "unit"),
+    ("target", "variable", "unit"),
     [
         ("F", "t", "N/s"),
         ("force_N", "T", "N/K"),
@@ -452,9 +454,9 @@ def test_a_term_acts_at_its_place():
         ("F", "acceleration", "N·s²"),
     ],
 )
-def test_a_coefficient_has_the_unit_of_place_over_variable(place, variable, unit):
-    assert term(place, variable).unit == unit
-    assert term(place, variable).formula == f"{place} += 0.1 {unit} · {variable}"
+def test_a_coefficient_has_the_unit_of_place_over_variable(target, variable, unit):
+    assert term(target, variable).unit == unit
+    assert term(target, variable).formula == f"{target} += 0.1 {unit} · {variable}"
 
 
 def test_a_term_that_cannot_be_is_refused():
@@ -493,8 +495,8 @@ def test_natural_units_of_a_case_are_its_ratios():
 def test_probes_are_multiples_of_natural_units():
     assert Sizes((0.5, 2.0), "force_N")(RANGE) == [(3.0,), (12.0,)]
     np.testing.assert_allclose(Shapes(0.1, (0.5, 2.0), "depth_mm", "force_N")(RANGE), [(0.6, 1.5), (0.6, 6.0)])
-    assert Times(0.02)(RANGE) == [(0.02, tau) for tau in TAU_s if tau < 10.0]
-    assert Times(0.02, without=2)(RANGE) == [(0.02, tau) for tau in TAU_s if tau < 10.0][2:]
+    assert TimeConstants(0.02)(RANGE) == [(0.02, tau) for tau in TAU_s if tau < 10.0]
+    assert TimeConstants(0.02, without=2)(RANGE) == [(0.02, tau) for tau in TAU_s if tau < 10.0][2:]
     assert list(TAU_s) == sorted(TAU_s)
     ratios = np.diff(np.log(TAU_s))
     assert np.all((ratios > np.log(2.5)) & (ratios < np.log(4.5)))
@@ -534,7 +536,7 @@ def test_steps_set_add_grow_and_hand_on():
     flow = Flow(T, T, STAGE_mm, None, 5.0)
     flow.force_N = np.full(3, 2.0)
     for step, expected in (
-        (sets("force_N", lambda flow, v, state: np.full(3, v[0])), 0.5),
+        (set_signal("force_N", lambda flow, v, state: np.full(3, v[0])), 0.5),
         (adds("force_N", lambda flow, v, state: 3.0), 2.0),
         (grows("force_N", lambda flow, v, state: 3.0), 5.0),
     ):
@@ -768,7 +770,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("holds", "broken"), BROKEN, ids=lambda x: getattr(x, "__name__", ""))
-def test_a_broken_effect_is_told(holds, broken):
+def test_a_broken_effect_is_reported(holds, broken):
     with pytest.raises(Violation, match="wear"):
         holds(broken)
 

@@ -24,13 +24,13 @@ def test_effects_satisfy_the_properties(effect, holds):
     holds(effect)
 
 
-def test_rivals_and_runs_that_an_entry_names_exist():
+def test_confounders_and_runs_that_an_entry_names_exist():
     t_s = np.arange(200) / 50.0
     run = Run("1", t_s, ReadoutMetadata(), stage_mm=t_s, force_N=t_s, output_V=t_s)
-    known = {entry.name for entry in menu(Case("A", (run,)), properties.RANGE)}
+    menu_names = {entry.name for entry in menu(Case("A", (run,)), properties.RANGE)}
     for effect in EFFECTS.values():
         assert set(effect.signs.confounders) <= set(EFFECTS) - {effect.id}
-        assert set(effect.signs.best_experiments) <= known, effect.id
+        assert set(effect.signs.best_experiments) <= menu_names, effect.id
         if effect.signs.alias is not None:
             assert effect.signs.alias.distinguished_by in KINDS
 
@@ -70,7 +70,7 @@ def in_pieces(flow, values, memory):
         ),
     ],
 )
-def test_a_broken_effect_is_told(holds, broken):
+def test_a_broken_effect_is_reported(holds, broken):
     with pytest.raises(Violation, match="wear"):
         holds(broken)
 

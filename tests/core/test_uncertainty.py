@@ -55,7 +55,7 @@ def test_the_interval_follows_the_band_where_the_noise_is(linear_network, press,
     assert high > 4 * low
 
 
-def test_directions_are_told_apart(source_model, linear_network):
+def test_directions_are_distinguished(source_model, linear_network):
     rising = 0.5 + np.linspace(0.0, 0.05, 60)
     for signal, expected in ((rising, 2), (rising[::-1], 0), (np.full(60, 0.55), 1)):
         shape = source_model.interval.support.shape(windows(np.ascontiguousarray(signal)))
@@ -89,9 +89,9 @@ def test_window_shape_is_a_least_squares_parabola(rng):
     abscissa = np.linspace(-1, 1, TAPS)
     for k in range(40):
         coefficients = np.polyfit(abscissa, signals[k], 2)
-        left = np.sqrt(np.mean((signals[k] - np.polyval(coefficients, abscissa)) ** 2))
+        residual = np.sqrt(np.mean((signals[k] - np.polyval(coefficients, abscissa)) ** 2))
         line = np.polyfit(abscissa, signals[k], 1)[0]
-        assert shape.roughness[k] == pytest.approx(left, rel=1e-4)
+        assert shape.roughness[k] == pytest.approx(residual, rel=1e-4)
         assert shape.level[k] == pytest.approx(signals[k].mean(), abs=1e-6)
         assert shape.slope[k] == pytest.approx(line * np.sqrt(np.mean(abscissa**2)), abs=1e-5)
 
@@ -154,8 +154,10 @@ def test_loads_the_unit_has_not_shown_are_uncertain_there_alone(source_model, li
     half = replace(unit, output=0.5 + 0.5 * (unit.output - 0.5))
     limits = output_limits(half, source_model.source.unlabelled, is_rising=True, method=METHOD)
     evidence = gather_evidence(source_model, half, AffineMap(1.0, 0.0, "identity"), limits)
-    row, reach = variance_table(source_model, evidence)[1], np.quantile(evidence.estimate, 0.995)
+    row, highest_load = variance_table(source_model, evidence)[1], np.quantile(evidence.estimate, 0.995)
     level = source_model.interval.low + (np.arange(len(row)) + 0.5) * np.ptp(source_model.source.reference) / len(row)
-    shown = row[level < reach - 0.1]
-    np.testing.assert_allclose(shown, shown[0])
-    np.testing.assert_allclose(row[-1] - shown[0], (BLIND.sensitivity["extrapolation"] * (level[-1] - reach)) ** 2)
+    covered = row[level < highest_load - 0.1]
+    np.testing.assert_allclose(covered, covered[0])
+    np.testing.assert_allclose(
+        row[-1] - covered[0], (BLIND.sensitivity["extrapolation"] * (level[-1] - highest_load)) ** 2
+    )

@@ -37,35 +37,35 @@ def lot(seed: int, **design: object) -> SimulatedLot:
     return simulate_lot(seed, LotDesign(**design))  # type: ignore[arg-type]
 
 
-def found(model: SourceModel, recording: OutputRecording) -> tuple[UnitState, set[str]]:
-    made = calibrate(UnitProblem(model, recording))
-    return made, {finding.kind for finding in made.fit.findings}
+def calibrate_and_list_findings(model: SourceModel, recording: OutputRecording) -> tuple[UnitState, set[str]]:
+    calibration = calibrate(UnitProblem(model, recording))
+    return calibration, {finding.kind for finding in calibration.fit.findings}
 
 
 def test_a_unit_pressed_over_half_the_range_is_a_retest_and_says_so(seed: int, model: SourceModel) -> None:
     for unit in lot(seed, good=3, shift="half range").units:
-        made, names = found(model, unit.recording)
-        assert "stretched" in names and made.decision.verdict == "retest"
+        calibration, names = calibrate_and_list_findings(model, unit.recording)
+        assert "stretched" in names and calibration.decision.verdict == "retest"
 
 
-def test_the_forecast_of_half_a_range_holds_the_doubt_of_its_gain(seed: int, model: SourceModel) -> None:
+def test_the_forecast_of_half_a_range_includes_the_uncertainty_of_its_gain(seed: int, model: SourceModel) -> None:
     (unit,) = lot(seed, good=1, shift="half range").units
-    made, _ = found(model, unit.recording)
-    assert made.fit.budget["gain"] > 0.5 * made.fit.load_rms
+    calibration, _ = calibrate_and_list_findings(model, unit.recording)
+    assert calibration.fit.budget["gain"] > 0.5 * calibration.fit.load_rms
 
 
 def test_a_good_unit_with_a_programme_of_its_own_is_not_told_it_was_pressed_lightly(
     seed: int, model: SourceModel
 ) -> None:
     for unit in lot(seed, good=3, shift="own programme").units:
-        assert "stretched" not in found(model, unit.recording)[1]
+        assert "stretched" not in calibrate_and_list_findings(model, unit.recording)[1]
 
 
 @pytest.mark.parametrize("shift", ["none", "own programme"])
 def test_wrong_polarity_is_named_alone(seed: int, model: SourceModel, shift: str) -> None:
     for unit in lot(seed, good=0, bad=planted(["reversed"], 2), shift=shift).units:
-        made, names = found(model, unit.recording)
-        assert names == {"reversed"} and made.decision.verdict == "fail"
+        calibration, names = calibrate_and_list_findings(model, unit.recording)
+        assert names == {"reversed"} and calibration.decision.verdict == "fail"
 
 
 @pytest.mark.parametrize("shift", layered(("none", "own programme"), ("own programme",)))
@@ -75,20 +75,22 @@ def test_twice_the_noise_is_not_clipping(seed: int, model: SourceModel, shift: s
     for draw in range(5):
         more = np.random.default_rng(draw).normal(0, np.sqrt(3) * noise_V, len(unit.recording.output))
         noisy = replace(unit.recording, output=unit.recording.output + more)
-        assert "saturated" not in found(model, noisy)[1]
+        assert "saturated" not in calibrate_and_list_findings(model, noisy)[1]
 
 
 def test_a_readout_that_clips_is_named_for_it_and_not_for_a_light_press(seed: int, model: SourceModel) -> None:
     for unit in lot(seed, good=0, bad=planted(["saturated"], 3), shift="own programme").units:
-        names = found(model, unit.recording)[1]
+        names = calibrate_and_list_findings(model, unit.recording)[1]
         assert "saturated" in names and "stretched" not in names
 
 
-def test_a_map_bent_to_the_sources_use_does_not_hide_that_the_use_differs(seed: int, model: SourceModel) -> None:
+def test_a_map_fitted_to_the_sources_programme_does_not_hide_that_the_programme_differs(
+    seed: int, model: SourceModel
+) -> None:
     (unit,) = lot(seed, good=1, shift="other dwell").units
     line = replace(model.method, map=replace(model.method.map, family="two_point"))
-    straight = replace(model, method=line)
-    bent, rigid = (calibrate(UnitProblem(one, unit.recording)) for one in (model, straight))
+    linear_model = replace(model, method=line)
+    bent, rigid = (calibrate(UnitProblem(one, unit.recording)) for one in (model, linear_model))
     assert bent.unit_map.family == "averaged"
     for name in ("shift", "overlap"):
         assert bent.fit.budget[name] == pytest.approx(rigid.fit.budget[name])
@@ -96,20 +98,20 @@ def test_a_map_bent_to_the_sources_use_does_not_hide_that_the_use_differs(seed: 
 
 def lagging(recording: OutputRecording, lag_s: float) -> OutputRecording:
     """The recording behind a readout with this time constant: y' = (x - y) / lag."""
-    output, keep = np.empty_like(recording.output), np.exp(-1 / (recording.sample_rate_Hz * lag_s))
+    output, decay = np.empty_like(recording.output), np.exp(-1 / (recording.sample_rate_Hz * lag_s))
     output[0] = recording.output[0]
     for k in range(1, len(output)):
-        output[k] = keep * output[k - 1] + (1 - keep) * recording.output[k]
+        output[k] = decay * output[k - 1] + (1 - decay) * recording.output[k]
     return replace(recording, output=output)
 
 
 @pytest.mark.parametrize("lag_s", layered((0.3, 0.5), (0.5,)))
 def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(seed: int, model: SourceModel, lag_s: float) -> None:
     (unit,) = lot(seed, good=1).units
-    made, names = found(model, lagging(unit.recording, lag_s))
+    calibration, names = calibrate_and_list_findings(model, lagging(unit.recording, lag_s))
     assert "lagging" in names and "wrong programme" not in names
-    assert made.fit.readout_lag_s == pytest.approx(lag_s, rel=0.3)
-    assert made.decision.verdict != "pass"
+    assert calibration.fit.readout_lag_s == pytest.approx(lag_s, rel=0.3)
+    assert calibration.decision.verdict != "pass"
 
 
 @pytest.mark.long
@@ -117,13 +119,13 @@ def test_a_clock_that_is_ahead_and_creep_are_no_lag(seed: int, model: SourceMode
     for unit in lot(seed, good=2, bad=planted(["extra creep"], 2)).units:
         ahead = replace(unit.recording, t_s=unit.recording.t_s + 0.2)
         for recording in (unit.recording, ahead):
-            assert "lagging" not in found(model, recording)[1]
+            assert "lagging" not in calibrate_and_list_findings(model, recording)[1]
 
 
 def test_without_a_shared_load_no_lag_is_claimed(seed: int, model: SourceModel) -> None:
     (unit,) = lot(seed, good=1, shift="own programme").units
     for recording in (unit.recording, lagging(unit.recording, 0.5)):
-        assert "lagging" not in found(model, recording)[1]
+        assert "lagging" not in calibrate_and_list_findings(model, recording)[1]
 
 
 @pytest.mark.parametrize(("apart_V", "is_elsewhere"), [(0.4, False), (0.6, True)])
@@ -135,5 +137,5 @@ def test_an_output_is_elsewhere_when_half_of_the_wider_range_parts_it_from_the_s
     source = OutputRecording("S0", t_s, press - 0.5, 50.0)
     unit = OutputRecording("U1", t_s, 0.5 + apart_V + 0.2 * press, 50.0)
     limits = output_limits(unit, source, True, model.method)
-    said = [finding.reason.code for finding in contradictions(source, unit, limits, model.method)]
-    assert said == (["elsewhere"] if is_elsewhere else [])
+    codes = [finding.reason.code for finding in contradictions(source, unit, limits, model.method)]
+    assert codes == (["elsewhere"] if is_elsewhere else [])

@@ -143,7 +143,7 @@ def test_a_sample_release_scales_forecast_and_interval_and_makes_a_conditional_u
     assert released.map_id == state.map_id
 
 
-STANDS_AGAINST = {
+BLOCKING_CHANGES = {
     "a finding": lambda state: replace(state, fit=replace(state.fit, findings=(Finding(plain("dead"), Verdict.FAIL),))),
     "a rule": lambda state: replace(
         state, fit=replace(state.fit, rule_findings=(Finding(plain("no label"), Verdict.RETEST),))
@@ -166,9 +166,9 @@ STANDS_AGAINST = {
 }
 
 
-@pytest.mark.parametrize("against", STANDS_AGAINST)
+@pytest.mark.parametrize("against", BLOCKING_CHANGES)
 def test_nothing_is_released_by_sample_that_something_stands_against(against):
-    state = STANDS_AGAINST[against](replace(fitted(), release=release_of()))
+    state = BLOCKING_CHANGES[against](replace(fitted(), release=release_of()))
     assert state.verdict is not Verdict.PASS and not state.is_released
 
 
@@ -177,7 +177,7 @@ def measured(after: float, **others: object) -> UnitState:
     return replace(state, audit=audit_of(state, 1.0, after))
 
 
-def test_what_was_measured_outranks_what_is_said_of_the_lot():
+def test_what_was_measured_outranks_what_is_reported_of_the_lot():
     good, bad = measured(0.1), measured(0.9)
     assert (good.verdict, bad.verdict) == (Verdict.PASS, Verdict.FAIL)
     assert replace(bad, release=release_of()).verdict is Verdict.FAIL
@@ -224,16 +224,18 @@ FINDINGS = st.lists(st.sampled_from(list(Verdict)), max_size=2)
 @settings(max_examples=2000, deadline=None)
 @given(
     number=st.integers(1, 6),
-    found=FINDINGS,
+    verdicts_of_findings=FINDINGS,
     limit=st.sampled_from([LIMIT, Limit("N", 0.2), default_limit("N", 0.15, 3.0, DecisionConfig())]),
     acts=st.lists(st.sampled_from(["trim", "correction", "release", "suspect", "unreadable"]), max_size=6),
     after=st.none() | st.floats(0.01, 1.0),
     rows=st.integers(30, 20_000),
 )
 def test_after_any_history_a_pass_rests_on_an_audit_of_this_map_or_on_a_statement_for_this_limit(
-    number, found, limit, acts, after, rows
+    number, verdicts_of_findings, limit, acts, after, rows
 ):
-    state = replace(fitted(number, findings=tuple(Finding(plain("seen"), word) for word in found)), limit=limit)
+    state = replace(
+        fitted(number, findings=tuple(Finding(plain("seen"), word) for word in verdicts_of_findings)), limit=limit
+    )
     if after is not None:
         audit = replace(
             audit_of(state, 1.0, after), scores=Scores(MeasuredError(1.0, rows), MeasuredError(after, rows))
@@ -253,4 +255,4 @@ def test_after_any_history_a_pass_rests_on_an_audit_of_this_map_or_on_a_statemen
     else:
         release = state.release_in_force
         assert release.is_released and release.limit_rmse == limit.maximum_rmse
-        assert worst_of(found).is_open
+        assert worst_of(verdicts_of_findings).is_open

@@ -46,12 +46,12 @@ def test_at_the_edge_of_the_guard_band_a_false_accept_is_rarer_than_one_in_forty
 @given(rmse=st.floats(0.01, 1), guard=st.floats(1.01, 3), word=st.sampled_from(VERDICTS))
 def test_a_finding_never_improves_a_verdict(rmse, guard, word):
     forecast = ErrorForecast(rmse, rmse / guard, rmse * guard)
-    alone, found = (
+    alone, with_finding = (
         compare_with_limit(forecast, LIMIT),
         compare_with_limit(forecast, LIMIT, (Finding(plain("something"), word),)),
     )
-    assert found.verdict is worst_of([alone.verdict, word])
-    assert plain("something") in found.reasons and len(found.reasons) == 2
+    assert with_finding.verdict is worst_of([alone.verdict, word])
+    assert plain("something") in with_finding.reasons and len(with_finding.reasons) == 2
 
 
 @pytest.mark.parametrize(("rmse", "word"), [(0.28, Verdict.CONDITIONAL), (0.32, Verdict.FAIL)])
@@ -71,8 +71,8 @@ def test_nothing_passes_by_a_limit_that_nobody_stated(rmse, guard, word):
     for source in ("predicted", "measured"):
         assessment = compare_with_limit(error, derived, (Finding(plain("something"), word),), source)
         assert assessment.verdict is worst_of([Verdict.CONDITIONAL, word])
-        (said,) = [why for why in assessment.reasons if why.code == "no_limit"]
-        assert said.values["share"] == pytest.approx(rmse / 3.0) and said.values["rmse"] == rmse
+        (reason,) = [why for why in assessment.reasons if why.code == "no_limit"]
+        assert reason.values["share"] == pytest.approx(rmse / 3.0) and reason.values["rmse"] == rmse
 
 
 def test_a_retest_states_no_conformity():
@@ -80,7 +80,7 @@ def test_a_retest_states_no_conformity():
 
 
 @given(predicted=st.sampled_from(VERDICTS), measured=st.sampled_from(VERDICTS))
-def test_what_is_measured_outranks_what_is_predicted_and_both_are_said(predicted, measured):
+def test_what_is_measured_outranks_what_is_predicted_and_both_are_reported(predicted, measured):
     decision = Decision(Assessment(predicted, (plain("forecast"),)), Assessment(measured, (plain("audit"),)))
     assert decision.verdict is measured and decision.reasons[0] == plain("audit")
     assert len(decision.reasons) == (1 if predicted is measured else 2)

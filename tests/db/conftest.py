@@ -32,13 +32,13 @@ LIMIT_N = 2.0
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of a table of cases, the first few run on PostgreSQL every time, the others in the long layer."""
-    tried: Counter[str] = Counter()
+    attempts: Counter[str] = Counter()
     for item in items:
         if isinstance(item, pytest.Function) and item.path.parent == Path(__file__).parent:
             cases = item.callspec.params if hasattr(item, "callspec") else {}
             is_on_server = "postgresql" in cases.values()
-            tried[item.originalname] += is_on_server
-            if is_on_server and len(cases) > 1 and tried[item.originalname] > CASES_ON_SERVER:
+            attempts[item.originalname] += is_on_server
+            if is_on_server and len(cases) > 1 and attempts[item.originalname] > CASES_ON_SERVER:
                 item.add_marker(pytest.mark.long)
 
 
@@ -57,7 +57,7 @@ def postgresql_admin():
 @pytest.fixture(params=["sqlite", "postgresql"])
 def new_url(request, tmp_path, require) -> Iterator[Callable[[], str]]:
     """`new_url()` gives the URL of a database that is empty, of the kind the test runs on."""
-    made: list[str] = []
+    urls: list[str] = []
 
     def on_sqlite() -> str:
         return f"sqlite:///{tmp_path / uuid.uuid4().hex}.db"
@@ -65,12 +65,12 @@ def new_url(request, tmp_path, require) -> Iterator[Callable[[], str]]:
     def on_postgresql() -> str:
         admin = request.getfixturevalue("postgresql_admin")
         require(admin is not None, NO_POSTGRESQL)
-        made.append(f"softcal_test_{uuid.uuid4().hex[:12]}")
-        admin.execute(text(f"CREATE DATABASE {made[-1]}"))
-        return admin.engine.url.set(database=made[-1]).render_as_string(hide_password=False)
+        urls.append(f"softcal_test_{uuid.uuid4().hex[:12]}")
+        admin.execute(text(f"CREATE DATABASE {urls[-1]}"))
+        return admin.engine.url.set(database=urls[-1]).render_as_string(hide_password=False)
 
     yield on_sqlite if request.param == "sqlite" else on_postgresql
-    for name in made:
+    for name in urls:
         request.getfixturevalue("postgresql_admin").execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
 
 

@@ -60,7 +60,7 @@ def filled(factory, recording_of, labelled_of):
     return factory
 
 
-def beside_triggers(registry):
+def verify_without_triggers(registry):
     """Return what `verify` finds but for the triggers that `past_the_triggers` took away."""
     return [line for line in registry.verify() if not line.startswith("trigger ")]
 
@@ -109,7 +109,7 @@ def test_the_database_refuses_to_change_or_delete_rows(filled, table):
 )
 def test_verify_finds_what_was_done_behind_its_back(filled, past_the_triggers, statement, fault):
     past_the_triggers(statement)
-    assert any(fault in line for line in beside_triggers(filled.registry))
+    assert any(fault in line for line in verify_without_triggers(filled.registry))
 
 
 def test_one_flipped_bit_in_a_blob_is_found_and_never_read(filled, past_the_triggers):
@@ -122,8 +122,8 @@ def test_one_flipped_bit_in_a_blob_is_found_and_never_read(filled, past_the_trig
         content = bytearray(connection.execute(select(blobs.c.data).where(blobs.c.sha256 == stored)).scalar_one())
     content[-1] ^= 1
     past_the_triggers(update(blobs).where(blobs.c.sha256 == stored).values(data=bytes(content)))
-    (told,) = beside_triggers(filled.registry)
-    assert stored[:12] in told
+    (problem,) = verify_without_triggers(filled.registry)
+    assert stored[:12] in problem
     with pytest.raises(RegistryError, match=stored[:12]):
         filled.registry.calibrations.get("A1")
 
@@ -140,8 +140,8 @@ def test_a_large_array_that_is_gone_or_changed_is_found_and_never_read(registry,
     stored[-1] ^= 1
     here = blobs.c.sha256 == part
     past_the_triggers(delete(blobs).where(here) if removed else update(blobs).where(here).values(data=bytes(stored)))
-    (told,) = beside_triggers(registry)
-    assert part[:12] in told and (sha256[:12] in told) == removed
+    (problem,) = verify_without_triggers(registry)
+    assert part[:12] in problem and (sha256[:12] in problem) == removed
     with registry.database.reading(), pytest.raises(RegistryError, match=part[:12]):
         get_arrays(registry.database, sha256)
 
@@ -149,7 +149,7 @@ def test_a_large_array_that_is_gone_or_changed_is_found_and_never_read(registry,
 def test_an_edited_row_with_an_edited_trail_still_breaks_the_chain(filled, past_the_triggers):
     past_the_triggers(update(calibrations).where(calibrations.c.revision == 1).values(verdict="fail"))
     past_the_triggers(update(audit).where(audit.c.key.contains('"A1",1')).values(after=None))
-    assert any("row " in line for line in beside_triggers(filled.registry))
+    assert any("row " in line for line in verify_without_triggers(filled.registry))
 
 
 def test_the_hash_of_a_row_can_be_computed_by_anybody(filled):

@@ -64,7 +64,7 @@ def test_a_write_that_is_cut_before_it_is_kept_is_done_once_more_and_once(server
     assert server.registry.verify() == []
 
 
-def test_a_server_that_cuts_twice_is_said_in_one_line(server, cut, monkeypatch):
+def test_a_server_that_cuts_twice_is_reported_in_one_line(server, cut, monkeypatch):
     calls = cut_at(monkeypatch, cut, history, "row_hash", 99)
     with pytest.raises(ConnectionCut) as error:
         server.calibrate("A1", 2)
@@ -103,11 +103,11 @@ def test_a_queue_s_claim_that_was_cut_is_claimed_once(server, cut, monkeypatch):
     original, calls = WorkQueue._free, []
 
     def cutting(*arguments):
-        found = original(*arguments)
+        result = original(*arguments)
         calls.append(1)
         if len(calls) == 1:
             cut()
-        return found
+        return result
 
     monkeypatch.setattr(WorkQueue, "_free", cutting)
     assert len(queue.claim("me", work, 3, 60)) == 3
@@ -131,6 +131,6 @@ def test_a_batch_goes_on_through_a_cut(server, cut, trained_lot, tmp_path, monke
     assert len(calls) > 3
     with open_registry(url, create=False) as registry:
         units = {unit.serial: unit.revision for unit in registry.lots.units("small") if unit.role == "target"}
-        made = {"A1": 2, "A2": 1, "A3": 1}
-        assert units == made, "A1 has a revision in the other lot"
+        revisions = {"A1": 2, "A2": 1, "A3": 1}
+        assert units == revisions, "A1 has a revision in the other lot"
         assert registry.verify() == []

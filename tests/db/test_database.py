@@ -12,7 +12,7 @@ from softcal.db.schema.engines import refuse_network_share
 
 
 @pytest.mark.parametrize(
-    ("url", "facts"),
+    ("url", "message"),
     [
         ("sqlite:////nonexistent-folder/x.db", "/nonexistent-folder"),
         ("sqlite:////tmp", "/tmp"),
@@ -21,8 +21,8 @@ from softcal.db.schema.engines import refuse_network_share
         ("postgresql://nobody:hush@127.0.0.1:1/x", "127.0.0.1"),
     ],
 )
-def test_a_wrong_url_is_one_line_without_its_password(url, facts):
-    with pytest.raises(RegistryError, match=facts) as caught:
+def test_a_wrong_url_is_one_line_without_its_password(url, message):
+    with pytest.raises(RegistryError, match=message) as caught:
         open_registry(url)
     assert "hush" not in str(caught.value) and "\n" not in str(caught.value)
 

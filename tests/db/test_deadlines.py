@@ -71,16 +71,16 @@ def test_a_job_whose_process_died_is_lost(timed, clock, jump, is_taken):
 
 @pytest.mark.parametrize("jump", [-DAY, DAY])
 def test_a_station_whose_process_died_is_silent_and_may_be_taken_over(timed, clock, jump):
-    def beat(process: str) -> Heartbeat:
+    def make_heartbeat(process: str) -> Heartbeat:
         return Heartbeat("line-1", StationState.READY, clock.now, process=process)
 
-    timed.order_queue.beat(beat("here:1"))
+    timed.order_queue.write_heartbeat(make_heartbeat("here:1"))
     assert timed.order_queue.is_answering("line-1")
     with pytest.raises(InputError):
-        timed.order_queue.beat(beat("here:2"))
+        timed.order_queue.write_heartbeat(make_heartbeat("here:2"))
     clock.now += jump
     assert not timed.order_queue.is_answering("line-1")
-    timed.order_queue.beat(beat("here:2"))
+    timed.order_queue.write_heartbeat(make_heartbeat("here:2"))
     assert timed.order_queue.is_answering("line-1")
 
 
@@ -97,5 +97,7 @@ def test_work_of_a_dead_worker_is_handed_out_again(timed, clock, jump):
 
 
 def test_a_clock_that_is_a_little_ahead_changes_nothing(timed, clock):
-    timed.order_queue.beat(Heartbeat("line-1", StationState.READY, clock.now + timedelta(seconds=20), process="far:1"))
+    timed.order_queue.write_heartbeat(
+        Heartbeat("line-1", StationState.READY, clock.now + timedelta(seconds=20), process="far:1")
+    )
     assert timed.order_queue.is_answering("line-1")

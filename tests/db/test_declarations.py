@@ -140,6 +140,6 @@ def test_a_value_that_is_no_number_stores_nothing(factory):
 
 def test_the_trail_tells_of_every_declaration(factory, labelled_of):
     declare_all(factory, labelled_of("S0"))
-    told = {row.entity: json.loads(row.after) for row in factory.registry.trail.rows() if row.entity in TABLES}
-    assert told.keys() == TABLES
-    assert told["load_readings"]["output"] == 0.2 and told["lot_references"]["certificate"] == "D-K-1"
+    values = {row.entity: json.loads(row.after) for row in factory.registry.trail.rows() if row.entity in TABLES}
+    assert values.keys() == TABLES
+    assert values["load_readings"]["output"] == 0.2 and values["lot_references"]["certificate"] == "D-K-1"

@@ -69,18 +69,18 @@ def test_a_registry_that_is_not_there_and_one_of_another_schema(new_url):
 def test_a_registry_that_another_holds_is_busy_and_nothing_changes(registry_url, monkeypatch):
     monkeypatch.setattr(engines, "SQLITE_WAIT_S", 0.3)
     with open_registry(registry_url) as one, open_registry(registry_url) as other:
-        is_held, is_over = threading.Event(), threading.Event()
+        is_locked, is_over = threading.Event(), threading.Event()
 
         def hold() -> None:
             with one.database.writing() as connection:
                 connection.execute(text("UPDATE registry_info SET value = value"))
-                is_held.set()
+                is_locked.set()
                 is_over.wait(30)
 
         holder = threading.Thread(target=hold)
         holder.start()
         try:
-            assert is_held.wait(30)
+            assert is_locked.wait(30)
             with pytest.raises(errors.RegistryBusy), other.database.writing(in_turn=False) as connection:
                 if not other.database.is_sqlite:
                     connection.execute(text("SET LOCAL lock_timeout = '300ms'"))

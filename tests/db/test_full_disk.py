@@ -38,8 +38,8 @@ with open_registry(sys.argv[1], create=False) as registry:
 def on_a_full_disk(*arguments: object) -> list[str]:
     """Back up where a path is given, or calibrate; return the lines that were printed until it was refused."""
     command = [sys.executable, "-c", ON_A_FULL_DISK, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    return done.stdout.splitlines()
+    process = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return process.stdout.splitlines()
 
 
 def test_a_full_disk_loses_nothing_that_was_acknowledged(file_registry, make_factory):
@@ -59,15 +59,15 @@ def test_a_full_disk_loses_nothing_that_was_acknowledged(file_registry, make_fac
 
 def test_a_backup_onto_a_full_disk_leaves_no_file(file_registry, make_factory, tmp_path):
     make_factory(file_registry).calibrate("A0")
-    (said,) = on_a_full_disk(f"sqlite:///{file_registry.database.path}", 50_000, tmp_path / "b.db")
-    assert said.startswith("refused ") and not list(tmp_path.glob("*b.db*"))
+    (message,) = on_a_full_disk(f"sqlite:///{file_registry.database.path}", 50_000, tmp_path / "b.db")
+    assert message.startswith("refused ") and not list(tmp_path.glob("*b.db*"))
     assert file_registry.verify() == []
 
 
 def test_a_folder_that_may_not_be_written_is_named(capsys):
     assert main(["registry", "upgrade", "--registry", "sqlite:////proc/registry.db"]) == 4
-    (said,) = capsys.readouterr().err.splitlines()
-    assert "/proc" in said
+    (message,) = capsys.readouterr().err.splitlines()
+    assert "/proc" in message
 
 
 def test_a_registry_that_may_only_be_read_says_so(file_registry, make_factory, monkeypatch):

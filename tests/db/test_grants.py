@@ -69,7 +69,7 @@ def test_the_line_can_do_all_its_work(as_role, make_factory, recording_of):
     assert registry.people.sign_in("kim", "2580").name == "kim" and registry.verify() == []
 
 
-def test_what_the_line_may_not_set_is_said_in_one_line(as_role, make_factory):
+def test_what_the_line_may_not_set_is_reported_in_one_line(as_role, make_factory):
     make_factory(as_role("manager"))
     line = as_role("line")
     for forbidden in (

@@ -41,11 +41,11 @@ def test_a_job_ends_once(board):
 def test_a_waiting_job_is_cancelled_at_once_a_running_one_is_asked(board):
     waiting, running = board.place("train", {}, "kim"), board.place("train", {}, "kim")
     board.take(running)
-    assert not board.beat(running)
+    assert not board.write_heartbeat(running)
     board.cancel(waiting)
     board.cancel(running)
     assert board.job(waiting).state is RunState.CANCELLED
-    assert board.job(running).state is RunState.RUNNING and board.beat(running)
+    assert board.job(running).state is RunState.RUNNING and board.write_heartbeat(running)
 
 
 def test_a_job_whose_process_died_is_seen_and_can_be_ended(registry, board):

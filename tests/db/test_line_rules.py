@@ -46,12 +46,12 @@ def test_rules_need_a_reason(registry, lot):
 
 
 @pytest.mark.parametrize(
-    "facts",
+    "fields",
     [{"serial_pattern": "A["}, {"letters": "capital"}, {"target": 0}, {"retests": {"fail": -1}}, {"retests": {"x": 1}}],
 )
-def test_senseless_rules_are_refused(facts):
+def test_senseless_rules_are_refused(fields):
     with pytest.raises(InputError):
-        LineRules(**facts)
+        LineRules(**fields)
 
 
 def test_the_results_of_one_unit_are_read_alone(registry, lot):

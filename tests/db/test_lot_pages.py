@@ -46,8 +46,8 @@ def test_the_counts_are_those_of_the_units(lot):
 
 
 def test_a_filter_takes_verdicts_and_text_as_it_is_written(lot):
-    def serials(**wanted):
-        return [unit.serial for unit in lot.pages.unit_page("L1", UnitFilter(**wanted)).units]
+    def serials(**lot_filter):
+        return [unit.serial for unit in lot.pages.unit_page("L1", UnitFilter(**lot_filter)).units]
 
     assert serials(verdicts=("none",)) == ["C%1"] and serials(text="%") == ["C%1"]
     assert serials(text="b", verdicts=("pass", "fail")) == ["B1", "B2"]

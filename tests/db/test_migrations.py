@@ -45,13 +45,15 @@ def test_there_is_one_migration_and_it_makes_the_schema_of_this_version():
 def test_the_migration_makes_exactly_the_tables(registry):
     with registry.database.reading() as connection:
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
-        seen = inspect(connection)
+        inspector = inspect(connection)
         for name, table in metadata.tables.items():
             checks = {str(one.name) for one in table.constraints if type(one).__name__ == "CheckConstraint"}
-            assert {one["name"] for one in seen.get_check_constraints(name)} == checks, name
-            indices = {(one["name"], tuple(one["column_names"]), bool(one["unique"])) for one in seen.get_indexes(name)}
+            assert {one["name"] for one in inspector.get_check_constraints(name)} == checks, name
+            indices = {
+                (one["name"], tuple(one["column_names"]), bool(one["unique"])) for one in inspector.get_indexes(name)
+            }
             assert indices == {(i.name, tuple(c.name for c in i.columns), bool(i.unique)) for i in table.indexes}, name
-            assert seen.get_pk_constraint(name)["name"] == table.primary_key.name
+            assert inspector.get_pk_constraint(name)["name"] == table.primary_key.name
 
 
 @pytest.mark.parametrize("change", ["UPDATE {0} SET {1} = {1}", "DELETE FROM {0}"])
@@ -73,8 +75,8 @@ def test_a_registry_of_another_schema_is_refused_in_one_line(of_schema, tmp_path
     url = of_schema(revision)
     file = [str(tmp_path / "backup.db")] if act == "backup" else []
     assert main(["registry", act, *file, "--registry", url]) == 4
-    (said,) = capsys.readouterr().err.strip().splitlines()
-    assert f"schema {revision}" in said and SCHEMA in said and cure in said
+    (message,) = capsys.readouterr().err.strip().splitlines()
+    assert f"schema {revision}" in message and SCHEMA in message and cure in message
     with closing(open_database(url)) as database:
         assert schema_of(database) == revision
 
@@ -97,14 +99,14 @@ def test_one_station_has_one_run_at_a_time_and_any_number_that_are_over(registry
     table = metadata.tables["orders"]
     values = {c.name: "x" for c in table.columns} | {"station": "S", "fraction": 0.0, "remaining_s": 0.0}
 
-    def put(order_id: str, state: str, kind: str) -> None:
+    def add_order(order_id: str, state: str, kind: str) -> None:
         with registry.database.writing() as connection:
             now = registry.settings.clock()
             row = values | {"order_id": order_id, "state": state, "kind": kind, "created": now, "changed_at": now}
             connection.execute(table.insert().values(row))
 
     for order_id, state, kind in [("1", "done", "unit"), ("2", "done", "unit"), ("3", "queued", "unit")]:
-        put(order_id, state, kind)
-    put("4", "queued", "home")
+        add_order(order_id, state, kind)
+    add_order("4", "queued", "home")
     with pytest.raises((RegistryError, DBAPIError)):
-        put("5", "running", "golden")
+        add_order("5", "running", "golden")

@@ -14,7 +14,7 @@ def trial(factory, network) -> str:
     return factory.registry.networks.add("L1", other, {}, {}, "b" * 64, actor="Erin")
 
 
-def in_use(factory) -> str | None:
+def released_network_id(factory) -> str | None:
     state = factory.registry.networks.released("L1")
     return state and state.network.id
 
@@ -24,7 +24,7 @@ def states(factory) -> list[str]:
 
 
 def test_the_first_network_of_a_lot_is_in_use_and_a_trial_is_not(factory, trial):
-    assert (in_use(factory), states(factory)) == (factory.network_id, [RELEASED, DRAFT])
+    assert (released_network_id(factory), states(factory)) == (factory.network_id, [RELEASED, DRAFT])
 
 
 def test_a_released_network_is_used_and_a_withdrawn_one_gives_way_to_the_one_before(factory, trial):
@@ -32,15 +32,15 @@ def test_a_released_network_is_used_and_a_withdrawn_one_gives_way_to_the_one_bef
     state = factory.registry.networks.released("L1")
     assert (state.network.id, state.actor, state.reason) == (trial, "Quinn", "half the error")
     factory.registry.networks.withdraw(trial, reason="drifts")
-    assert (in_use(factory), states(factory)) == (factory.network_id, [RELEASED, WITHDRAWN])
+    assert (released_network_id(factory), states(factory)) == (factory.network_id, [RELEASED, WITHDRAWN])
     factory.registry.networks.withdraw(factory.network_id, reason="so does this")
-    assert in_use(factory) is None
+    assert released_network_id(factory) is None
 
 
 def test_an_earlier_network_can_be_released_again(factory, trial):
     factory.registry.networks.release(trial, reason="better")
     factory.registry.networks.release(factory.network_id, reason="it was not")
-    assert in_use(factory) == factory.network_id
+    assert released_network_id(factory) == factory.network_id
 
 
 def test_nothing_is_decided_without_a_reason_or_twice(factory, trial):
@@ -63,9 +63,12 @@ def test_a_decision_is_in_the_audit_trail_and_changes_the_marker(factory, trial)
     assert factory.registry.pages.change_marker("L1") != before and factory.registry.verify() == []
 
 
-def test_of_two_screens_that_change_a_line_at_once_one_is_told(registry):
-    places = registry.line_places
-    assert places.read("line-1") == (0, {})
-    assert [places.write("line-1", 0, {"serial": "A1"}), places.write("line-1", 0, {"serial": "A2"})] == [True, False]
-    assert places.read("line-1") == (1, {"serial": "A1"})
-    assert [places.write("line-1", 1, {}), places.write("line-1", 1, {"serial": "A3"})] == [True, False]
+def test_of_two_screens_that_change_a_line_at_once_one_is_refused(registry):
+    sessions = registry.line_sessions
+    assert sessions.read("line-1") == (0, {})
+    assert [sessions.write("line-1", 0, {"serial": "A1"}), sessions.write("line-1", 0, {"serial": "A2"})] == [
+        True,
+        False,
+    ]
+    assert sessions.read("line-1") == (1, {"serial": "A1"})
+    assert [sessions.write("line-1", 1, {}), sessions.write("line-1", 1, {"serial": "A3"})] == [True, False]

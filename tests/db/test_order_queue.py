@@ -50,9 +50,9 @@ def test_stop_is_placed_beside_a_run_and_taken_first(queue):
 def test_progress_is_read_back_with_its_signal(queue):
     queue.place(press())
     signal = Signal((0.0, 0.02), (1.0, 1.1), (0.0, 0.5), (), "ohm")
-    told = Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.5, verdict="pass", signal=signal)
-    queue.report(told)
-    assert queue.progress("o1") == told and queue.active("s1") == (press(), told)
+    progress = Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.5, verdict="pass", signal=signal)
+    queue.report(progress)
+    assert queue.progress("o1") == progress and queue.active("s1") == (press(), progress)
 
 
 def test_a_run_that_is_over_stays_as_it_ended(queue):
@@ -71,27 +71,29 @@ def test_a_station_that_starts_ends_what_it_left(queue):
 
 
 def test_a_station_has_one_owner(queue):
-    queue.beat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
+    queue.write_heartbeat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
     for silent_for in (timedelta(0), STATION_SILENT_AFTER):  # a busy machine is late with its beat
         with pytest.raises(InputError, match="host:1"):
             at = NOW + silent_for + timedelta(seconds=1)
-            queue.beat(Heartbeat("s1", StationState.READY, at, process="host:2"))
+            queue.write_heartbeat(Heartbeat("s1", StationState.READY, at, process="host:2"))
     late = NOW + TAKEOVER_AFTER + timedelta(seconds=1)
-    queue.beat(Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2"))
+    queue.write_heartbeat(Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2"))
     assert queue.heartbeat("s1") == Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2")
 
 
 def test_an_owner_whose_process_is_gone_is_followed_at_once(queue):
-    queue.beat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
-    queue.beat(Heartbeat("s1", StationState.READY, NOW + timedelta(seconds=1), process="host:2"), timedelta(0))
+    queue.write_heartbeat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
+    queue.write_heartbeat(
+        Heartbeat("s1", StationState.READY, NOW + timedelta(seconds=1), process="host:2"), timedelta(0)
+    )
     assert queue.heartbeat("s1").process == "host:2"
 
 
 def test_what_the_gate_looked_at_is_read_back(queue):
     gate = (Condition("warm-up", False, "wait 3 more min"), Condition("homing", True, "homed"))
-    beat = Heartbeat("s1", StationState.READY, NOW, gate=gate, is_overridden=True)
-    queue.beat(beat)
-    assert queue.heartbeat("s1") == beat
+    heartbeat = Heartbeat("s1", StationState.READY, NOW, gate=gate, is_overridden=True)
+    queue.write_heartbeat(heartbeat)
+    assert queue.heartbeat("s1") == heartbeat
 
 
 def test_a_run_that_waits_is_cancelled_by_a_stop(queue):
@@ -104,10 +106,10 @@ def test_a_run_that_waits_is_cancelled_by_a_stop(queue):
 
 def test_silence_is_seen(registry, queue):
     assert not queue.is_answering("s1")
-    queue.beat(Heartbeat("s1", StationState.READY, NOW))
+    queue.write_heartbeat(Heartbeat("s1", StationState.READY, NOW))
     later = OrderQueue(registry.database, RegistrySettings(clock=lambda: NOW + timedelta(seconds=4)))
     assert queue.is_answering("s1") and not later.is_answering("s1")
-    assert [beat.station for beat in queue.stations()] == ["s1"]
+    assert [heartbeat.station for heartbeat in queue.stations()] == ["s1"]
 
 
 def test_an_unknown_order_is_named(queue):

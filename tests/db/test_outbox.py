@@ -21,11 +21,11 @@ def test_pages_of_any_size_give_every_row_once(factory):
     everything = ids(outbox.after({}, 10**6))
     assert everything == ids(factory.registry.trail.rows())
     for size in (1, 3, 1000):
-        cursor, got = {}, []
+        cursor, rows_read = {}, []
         while rows := outbox.after(cursor, size):
-            got += ids(rows)
+            rows_read += ids(rows)
             cursor |= {row.origin: row.seq for row in rows}
-        assert got == everything and cursor == outbox.end()
+        assert rows_read == everything and cursor == outbox.end()
 
 
 def test_rows_of_another_registry_come_in_the_order_of_their_chain(factory, make_factory, file_registry):
@@ -44,9 +44,9 @@ def test_a_destination_begins_once_and_stays_where_it_is(registry, registry_url)
     registry.outbox.moved("mes", {"a": 5}, 2)
     registry.outbox.failed("mes", "nobody answers", at)
     with open_registry(registry_url) as again:
-        found = again.outbox.begin("mes", {"a": 99})
-    assert (found.cursor, found.delivered, found.failures) == ({"a": 5}, 2, 1)
-    assert (found.error, found.not_before) == ("nobody answers", at)
+        destination = again.outbox.begin("mes", {"a": 99})
+    assert (destination.cursor, destination.delivered, destination.failures) == ({"a": 5}, 2, 1)
+    assert (destination.error, destination.not_before) == ("nobody answers", at)
     registry.outbox.moved("mes", {"a": 6}, 1)
     assert [(d.failures, d.error, d.not_before) for d in registry.outbox.deliveries()] == [(0, "", None)]
 

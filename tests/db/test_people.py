@@ -32,17 +32,17 @@ def test_a_wrong_name_and_a_wrong_pin_read_the_same(registry, name, pin):
     assert (refused.value.reason.code, refused.value.reason.values) == ("account.wrong_pin", {})
 
 
-def test_no_pin_is_stored_or_told(registry):
+def test_no_pin_is_stored_or_logged(registry):
     registry.people.set("kim", "operator", "2580", actor="admin")
     with registry.database.reading() as connection:
         assert connection.execute(select(users.c.pin_hash)).scalar_one().startswith("$argon2id$")
-    told = " ".join(str(vars(row)) for row in registry.trail.rows())
-    assert "set_user" in told and "2580" not in told and "argon2" not in told
+    trail_text = " ".join(str(vars(row)) for row in registry.trail.rows())
+    assert "set_user" in trail_text and "2580" not in trail_text and "argon2" not in trail_text
 
 
-def test_a_stolen_hash_costs_who_guesses_as_much_as_rfc_9106_asks_for(own_hasher):
+def test_a_stolen_hash_costs_who_guesses_as_much_as_rfc_9106_asks_for(real_hasher):
     # Its second recommended option: 3 passes over 64 MiB in 4 lanes.
-    assert "$m=65536,t=3,p=4$" in own_hasher().hash("2580")
+    assert "$m=65536,t=3,p=4$" in real_hasher().hash("2580")
 
 
 def test_guessing_leads_to_a_pause_even_for_the_right_pin(registry_url):
@@ -77,10 +77,10 @@ def test_each_pause_is_longer_and_the_same_for_a_name_that_nobody_has(registry_u
     now = [datetime(2026, 5, 4, tzinfo=UTC)]
     with open_registry(registry_url, RegistrySettings(clock=lambda: now[0])) as registry:
         registry.people.set("kim", "operator", "2580", actor="admin")
-        known = waits_of(registry, now, "kim", 10)
+        known_waits = waits_of(registry, now, "kim", 10)
         unknown = waits_of(registry, now, "lee", 10)
-    grown = [wait for wait in known if wait]
-    assert known == unknown and grown == sorted(set(grown)) and len(grown) > 2 and grown[-1] > 3600
+    grown = [wait for wait in known_waits if wait]
+    assert known_waits == unknown and grown == sorted(set(grown)) and len(grown) > 2 and grown[-1] > 3600
 
 
 def test_a_guess_holds_no_writer(registry_url, monkeypatch):
@@ -88,7 +88,7 @@ def test_a_guess_holds_no_writer(registry_url, monkeypatch):
         def hash(self, pin: str) -> str:
             return "hash"
 
-        def verify(self, known: str, pin: str) -> bool:
+        def verify(self, stored_hash: str, pin: str) -> bool:
             checking.set()
             assert go_on.wait(30)
             return False
@@ -203,8 +203,8 @@ def test_who_is_alone_may_do_everything_until_a_second_account_exists(registry):
     ):
         assert {action for action in everything if may(alone, action)} == everything
     registry.people.set("kim", "operator", "2580", actor="quinn")
-    known = (registry.people.sign_in("quinn", "7391"), registry.people.all()[1], registry.tokens.user_of(secret))
-    for quality in known:
+    users = (registry.people.sign_in("quinn", "7391"), registry.people.all()[1], registry.tokens.user_of(secret))
+    for quality in users:
         assert {action for action in everything if may(quality, action)} == PERMISSIONS["quality"]
     # Who may not sign in any more was somebody: duties that were parted stay so.
     registry.people.set("kim", "operator", actor="quinn", is_active=False, version=1)

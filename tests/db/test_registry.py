@@ -60,10 +60,10 @@ def test_a_limit_set_in_the_registry_stays_until_the_lot_states_another(factory)
 
 
 def test_a_limit_changed_by_somebody_else_is_not_overwritten(factory):
-    seen = factory.registry.lots.limit("L1").version
-    factory.registry.lots.set_limit("L1", 0.4, reason="new customer", actor="kim", expected_version=seen)
+    version = factory.registry.lots.limit("L1").version
+    factory.registry.lots.set_limit("L1", 0.4, reason="new customer", actor="kim", expected_version=version)
     with pytest.raises(InputError, match="0.4.*kim"):
-        factory.registry.lots.set_limit("L1", 0.5, reason="old screen", expected_version=seen)
+        factory.registry.lots.set_limit("L1", 0.5, reason="old screen", expected_version=version)
     assert factory.registry.lots.limit("L1").rmse == 0.4
 
 
@@ -100,9 +100,9 @@ def test_a_calibration_comes_back_as_it_was_given(factory):
     revision = factory.registry.calibrations.add("L1", state, actor="kim", reason="first")
     stored = factory.registry.calibrations.get("A1")
     assert (revision, stored.revision, stored.actor, stored.reason) == (1, 1, "kim", "first")
-    given, back = (fit_to_json(one.fit) for one in (state, stored.state))
-    assert back.content == given.content and adjustments_to_json(stored.state) == adjustments_to_json(state)
-    arrays, stored_arrays = given.arrays, back.arrays
+    fit_before, back = (fit_to_json(one.fit) for one in (state, stored.state))
+    assert back.content == fit_before.content and adjustments_to_json(stored.state) == adjustments_to_json(state)
+    arrays, stored_arrays = fit_before.arrays, back.arrays
     assert all(np.array_equal(stored_arrays[name], array) for name, array in arrays.items())
     assert stored.state.decision == state.decision and stored.state.map_sha256 == state.map_sha256
 
@@ -132,9 +132,9 @@ def test_a_senseless_rollback_changes_nothing(factory, to, reason):
 
 def test_finished_work_is_found_by_its_input(factory):
     factory.calibrate("A1", 1)
-    done = factory.state("A1", 1).fit.id
-    assert factory.registry.calibrations.find("A1", done).revision == 1
-    assert factory.registry.calibrations.find("A1", done, lot_id="other") is None
+    fit_id = factory.state("A1", 1).fit.id
+    assert factory.registry.calibrations.find("A1", fit_id).revision == 1
+    assert factory.registry.calibrations.find("A1", fit_id, lot_id="other") is None
     assert factory.registry.calibrations.find("A1", "f" * 64) is None
 
 
@@ -215,10 +215,14 @@ def test_a_clock_set_back_does_not_reorder_the_history(registry_url, make_factor
 
 def test_every_change_names_who_and_when(factory):
     factory.calibrate("A1", 1)
-    made, used = factory.registry.trail.rows()[-2:]
-    assert (made.actor, made.action, made.entity) == ("tester", "calibrate", "calibrations")
-    assert (used.actor, used.action, used.entity) == ("tester", "put_in_use", "in_use")
-    assert made.at.tzinfo is not None
+    calibrated_row, in_use_row = factory.registry.trail.rows()[-2:]
+    assert (calibrated_row.actor, calibrated_row.action, calibrated_row.entity) == (
+        "tester",
+        "calibrate",
+        "calibrations",
+    )
+    assert (in_use_row.actor, in_use_row.action, in_use_row.entity) == ("tester", "put_in_use", "in_use")
+    assert calibrated_row.at.tzinfo is not None
 
 
 def test_an_adaptation_resumes_from_its_last_step(factory):

@@ -46,5 +46,5 @@ def test_what_was_acknowledged_survives_a_kill(registry_url, make_factory, seed)
         for serial, revision in acknowledged:
             assert registry.calibrations.get(serial, int(revision)).state.serial == serial
         exports = {row.key for row in registry.trail.rows() if row.entity == "exports"}
-        made = {row.key for row in registry.trail.rows() if row.action == "calibrate"}
-        assert len(exports) == len(made) - 1, "a transaction is there whole or not at all"
+        keys = {row.key for row in registry.trail.rows() if row.action == "calibrate"}
+        assert len(exports) == len(keys) - 1, "a transaction is there whole or not at all"

@@ -102,9 +102,9 @@ class RegistryMachine(RuleBasedStateMachine):
     @rule(lot_id=LOTS, serial=SERIALS, to=st.integers(1, 6))
     def roll_back(self, lot_id: str, serial: str, to: int) -> None:
         numbers, lots = self.history.get(serial, []), self.lots.get(serial, [])
-        used = self.used.get(serial, {}).get(lot_id)
+        revision_in_use = self.used.get(serial, {}).get(lot_id)
         is_there = to <= len(numbers) and lots[to - 1] == lot_id
-        is_possible = is_there and used is not None and numbers[to - 1] != numbers[used - 1]
+        is_possible = is_there and revision_in_use is not None and numbers[to - 1] != numbers[revision_in_use - 1]
         try:
             revision = self.registry.calibrations.rollback(serial, to, reason="test", lot_id=lot_id)
         except InputError:
@@ -164,14 +164,14 @@ class RegistryMachine(RuleBasedStateMachine):
         for serial, numbers in self.history.items():
             stored = self.registry.calibrations.history(serial)
             assert [c.state.fit.fitted.unit_map.gain - 1.0 for c in stored] == numbers
-            used = {(lot_id, revision) for lot_id, revision in self.used[serial].items()}
-            assert {(c.lot_id, c.revision) for c in stored if c.is_current} == used
+            in_use_revisions = {(lot_id, revision) for lot_id, revision in self.used[serial].items()}
+            assert {(c.lot_id, c.revision) for c in stored if c.is_current} == in_use_revisions
 
     @invariant()
     def the_units_are_the_model_s(self) -> None:
         for lot_id, serials in self.units.items():
-            found = {unit.serial: unit.verdict for unit in self.registry.lots.units(lot_id)}
-            assert found == {serial: self.verdicts.get((lot_id, serial)) for serial in serials}
+            verdicts = {unit.serial: unit.verdict for unit in self.registry.lots.units(lot_id)}
+            assert verdicts == {serial: self.verdicts.get((lot_id, serial)) for serial in serials}
 
     def teardown(self) -> None:
         try:
@@ -203,8 +203,8 @@ def _no_rollback(self, serial, to, **_):
 
 
 def _first_one_stays(self, lot_id, serial, *rest):
-    known = in_use.InUseTable._in_use(self, lot_id, serial)
-    return None if known is not None else STATE(self, lot_id, serial, *rest)
+    current = in_use.InUseTable._in_use(self, lot_id, serial)
+    return None if current is not None else STATE(self, lot_id, serial, *rest)
 
 
 STATE = in_use.InUseTable._write_statement

@@ -15,8 +15,8 @@ def test_eight_writers_lose_nothing(registry_url, make_factory):
 
     def write(number: int) -> None:
         try:
-            with open_registry(registry_url, create=False) as own:
-                factory = make_factory(own)
+            with open_registry(registry_url, create=False) as writer:
+                factory = make_factory(writer)
                 for k in range(UPDATES):
                     revisions.append(factory.calibrate("A1", number * UPDATES + k))
         except Exception as error:

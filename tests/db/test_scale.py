@@ -23,17 +23,17 @@ FEW = 2_500
 
 def fill(registry: Registry, units: int, lots: int) -> None:
     """Put units with two calibrations and recordings each beside the one that is there, past the API."""
-    made = [f'"{c.name}"' for c in calibrations.c if c.name not in ("lot_id", "serial", "revision")]
-    stated = [f'"{c.name}"' for c in in_use.c if c.name not in ("lot_id", "serial", "number")]
+    calibration_columns = [f'"{c.name}"' for c in calibrations.c if c.name not in ("lot_id", "serial", "revision")]
+    in_use_columns = [f'"{c.name}"' for c in in_use.c if c.name not in ("lot_id", "serial", "number")]
     statements = [
         f"CREATE TEMPORARY TABLE made AS SELECT 'lot-' || (k % {lots}) AS lot_id, "
         f"'U' || lpad(CAST(k AS text), 6, '0') AS serial, k FROM generate_series(1, {units}) k",
         "INSERT INTO units SELECT lot_id, serial, 'target', now() FROM made",
-        f"INSERT INTO calibrations (lot_id, serial, revision, {', '.join(made)}) "
-        f"SELECT m.lot_id, m.serial, r, t.{', t.'.join(made)} "
+        f"INSERT INTO calibrations (lot_id, serial, revision, {', '.join(calibration_columns)}) "
+        f"SELECT m.lot_id, m.serial, r, t.{', t.'.join(calibration_columns)} "
         "FROM made m, generate_series(1, 2) r, calibrations t WHERE t.serial = 'A1'",
-        f"INSERT INTO in_use (lot_id, serial, number, {', '.join(stated)}) "
-        f"SELECT m.lot_id, m.serial, r, t.{', t.'.join(stated)} "
+        f"INSERT INTO in_use (lot_id, serial, number, {', '.join(in_use_columns)}) "
+        f"SELECT m.lot_id, m.serial, r, t.{', t.'.join(in_use_columns)} "
         "FROM made m, generate_series(1, 2) r, in_use t WHERE t.serial = 'A1'",
         "INSERT INTO refusals SELECT m.lot_id, m.serial, now(), 'f', 'kim', 'retest', '[]', NULL FROM made m "
         "WHERE k % 2 = 0",
@@ -55,13 +55,13 @@ def fill(registry: Registry, units: int, lots: int) -> None:
 
 def rows_touched(registry: Registry, question: Callable[[], object]) -> int:
     """Ask, then explain every statement that was sent, and add up the rows their scans looked at."""
-    engine, sent, settings = registry.database.engine, [], ["SELECT 1;"]
+    engine, statements, settings = registry.database.engine, [], ["SELECT 1;"]
 
     def remember(connection, cursor, statement, parameters, context, executemany):
         if statement.startswith("SET LOCAL"):
             settings.append(f"{statement};")
         if statement.lstrip()[:6] in ("SELECT", "UPDATE", "DELETE") and not executemany:
-            sent.append((statement, parameters))
+            statements.append((statement, parameters))
 
     event.listen(engine, "before_cursor_execute", remember)
     try:
@@ -69,7 +69,7 @@ def rows_touched(registry: Registry, question: Callable[[], object]) -> int:
     finally:
         event.remove(engine, "before_cursor_execute", remember)
     total = 0
-    for statement, parameters in sent:
+    for statement, parameters in statements:
         with engine.connect() as connection:
             connection.exec_driver_sql("".join(settings))
             explained = f"EXPLAIN (ANALYZE, FORMAT JSON) {statement}"
@@ -147,7 +147,7 @@ def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, 
         "inputs": lambda: registry.calibrations.stored_inputs("lot-3", hundred),
         "standings": lambda: registry.pages.unit_statuses("lot-3", hundred),
         "claim": lambda: queue.claim("me", work, 100, 60),
-        "held": lambda: queue.held("me", [1, 2, 3]),
+        "lock_leased": lambda: queue.lock_leased("me", [1, 2, 3]),
         "owners": lambda: queue.owners(work),
         "extend": lambda: queue.extend("me", 60),
         "give back": lambda: queue.give_back("me"),
@@ -158,7 +158,7 @@ def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, 
         "enqueue": lambda: queue.enqueue(work, {f"U{LOTS * k + 3:06d}": "b" * 64 for k in range(OF_A_LOT)}),
     }
     touched = {name: rows_touched(registry, question) for name, question in (about_a_unit | of_a_lot).items()}
-    most = dict.fromkeys(about_a_unit, FEW) | dict.fromkeys(of_a_lot, 50 * OF_A_LOT)
-    assert {name: rows for name, rows in touched.items() if rows > most[name]} == {}
+    max_rows = dict.fromkeys(about_a_unit, FEW) | dict.fromkeys(of_a_lot, 50 * OF_A_LOT)
+    assert {name: rows for name, rows in touched.items() if rows > max_rows[name]} == {}
     everything = rows_touched(registry, lambda: registry.verify(is_quick=True))
     assert everything < 2 * 10 * UNITS

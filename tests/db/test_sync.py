@@ -96,11 +96,11 @@ def test_a_refusal_after_a_conflict_is_what_every_question_tells(station, regist
     registry.calibrations.refuse("L1", "A1", "fail", (plain("cable"),))
     (unit,) = registry.lots.units(serial="A1")
     (paged,) = registry.pages.unit_page("L1", UnitFilter(text="A1")).units
-    stated = registry.pages.unit_statuses("L1", ["A1"])["A1"]
+    status = registry.pages.unit_statuses("L1", ["A1"])["A1"]
     assert unit == paged and unit.is_conflict
-    for told in (unit, stated, registry.lots.runs("L1", "A1")[-1]):
-        assert (told.verdict, told.reasons) == ("fail", (plain("cable"),))
-    assert stated.calibration is None and registry.pages.verdict_counts("L1")["fail"] == 1
+    for answer in (unit, status, registry.lots.runs("L1", "A1")[-1]):
+        assert (answer.verdict, answer.reasons) == ("fail", (plain("cable"),))
+    assert status.calibration is None and registry.pages.verdict_counts("L1")["fail"] == 1
 
 
 def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory):
@@ -138,7 +138,7 @@ def test_two_persons_who_decide_differently_are_a_conflict_again(station, regist
     assert synchronise(station.registry, registry).conflicts == (), "a calibration of today follows both"
 
 
-def test_a_clock_that_is_ahead_is_said_and_does_not_win(station, registry, make_factory):
+def test_a_clock_that_is_ahead_is_reported_and_does_not_win(station, registry, make_factory):
     synchronise(station.registry, registry)
     ahead = datetime.now(UTC) + timedelta(days=30)
     station.registry.calibrations.settings = RegistrySettings(clock=lambda: ahead)
@@ -169,7 +169,7 @@ def test_another_limit_or_other_rules_of_one_version_are_a_conflict(station, reg
     assert "rules" in conflict
 
 
-def test_a_lot_with_other_facts_elsewhere_is_told(station, registry):
+def test_a_lot_with_other_data_elsewhere_is_reported(station, registry):
     registry.lots.add(Lot("L1", "S9", 100.0))
     report = synchronise(station.registry, registry)
     assert any("'L1'" in line for line in report.conflicts)

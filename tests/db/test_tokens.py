@@ -23,8 +23,10 @@ def test_a_token_signs_in_as_its_account_and_its_text_is_kept_nowhere(account):
     assert account.tokens.user_of(secret).role == "engineer"
     with account.database.reading() as connection:
         row = connection.execute(select(tokens)).mappings().one()
-    kept = " ".join(map(str, row.values())) + " ".join(f"{r.before}{r.after}{r.reason}" for r in account.trail.rows())
-    assert secret not in kept and secret.removeprefix("softcal_") not in kept
+    stored_text = " ".join(map(str, row.values())) + " ".join(
+        f"{r.before}{r.after}{r.reason}" for r in account.trail.rows()
+    )
+    assert secret not in stored_text and secret.removeprefix("softcal_") not in stored_text
     assert token in account.tokens.all()
 
 
@@ -40,7 +42,7 @@ def test_a_withdrawn_token_is_refused_and_the_trail_says_who_and_why(account):
     account.tokens.withdraw(token.token_id, reason="lost", actor="quinn")
     with pytest.raises(InputError):
         account.tokens.user_of(secret)
-    last = account.trail.of("tokens", (token.token_id,))[-1]
+    last = account.trail.list_rows("tokens", (token.token_id,))[-1]
     assert (last.action, last.actor, last.reason) == ("withdraw", "quinn", "lost")
     with pytest.raises(InputError):
         account.tokens.withdraw(token.token_id, reason="again")

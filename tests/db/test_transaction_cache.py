@@ -9,7 +9,7 @@ STATEMENTS_A_UNIT = 21
 again for what the chunk knows took 31."""
 
 
-def keep(factory, recording_of, serial, number=1):
+def store_calibration(factory, recording_of, serial, number=1):
     registry = factory.registry
     with registry.part():
         registry.recordings.add(factory.lot_id, recording_of(serial), "unit")
@@ -17,15 +17,17 @@ def keep(factory, recording_of, serial, number=1):
 
 
 def test_a_chunk_asks_once_for_what_its_units_share(factory, recording_of):
-    registry, seen = factory.registry, []
-    event.listen(registry.database.engine, "before_cursor_execute", lambda *told: seen.append(told[2]))
+    registry, statements = factory.registry, []
+    event.listen(registry.database.engine, "before_cursor_execute", lambda *told: statements.append(told[2]))
     with registry.transaction():
-        keep(factory, recording_of, "first")
-        seen.clear()
+        store_calibration(factory, recording_of, "first")
+        statements.clear()
         for serial in SERIALS:
-            assert keep(factory, recording_of, serial) == 1
+            assert store_calibration(factory, recording_of, serial) == 1
     # Savepoint and release are no statements of a cursor.
-    assert len(seen) <= (STATEMENTS_A_UNIT - 2) * len(SERIALS), "\n".join(seen[: len(seen) // len(SERIALS)])
+    assert len(statements) <= (STATEMENTS_A_UNIT - 2) * len(SERIALS), "\n".join(
+        statements[: len(statements) // len(SERIALS)]
+    )
     assert registry.verify() == []
     assert {unit.serial for unit in registry.lots.units(factory.lot_id)} >= set(SERIALS)
 
@@ -33,12 +35,12 @@ def test_a_chunk_asks_once_for_what_its_units_share(factory, recording_of):
 def test_what_a_savepoint_takes_back_is_found_again(factory, recording_of):
     registry = factory.registry
     with registry.transaction():
-        keep(factory, recording_of, "A")
+        store_calibration(factory, recording_of, "A")
         with pytest.raises(ZeroDivisionError), registry.part():
-            keep(factory, recording_of, "B", 7)
+            store_calibration(factory, recording_of, "B", 7)
             raise ZeroDivisionError
-        keep(factory, recording_of, "B", 7)
-        keep(factory, recording_of, "C")
+        store_calibration(factory, recording_of, "B", 7)
+        store_calibration(factory, recording_of, "C")
     assert registry.verify() == []
     assert [len(registry.calibrations.history(serial)) for serial in "ABC"] == [1, 1, 1]
     assert registry.recordings.get(recording_of("B").sha256).serial == "B"
@@ -47,7 +49,7 @@ def test_what_a_savepoint_takes_back_is_found_again(factory, recording_of):
 def test_a_second_calibration_in_one_transaction_follows_the_first(factory, recording_of):
     registry = factory.registry
     with registry.transaction():
-        assert [keep(factory, recording_of, "A", number) for number in (1, 2, 3)] == [1, 2, 3]
+        assert [store_calibration(factory, recording_of, "A", number) for number in (1, 2, 3)] == [1, 2, 3]
     assert registry.verify() == []
     assert [stored.is_current for stored in registry.calibrations.history("A")] == [False, False, True]
 
@@ -55,8 +57,8 @@ def test_a_second_calibration_in_one_transaction_follows_the_first(factory, reco
 def test_a_transaction_that_failed_leaves_nothing_behind(factory, recording_of):
     registry = factory.registry
     with pytest.raises(ZeroDivisionError), registry.transaction():
-        keep(factory, recording_of, "A")
+        store_calibration(factory, recording_of, "A")
         raise ZeroDivisionError
     with registry.transaction():
-        assert keep(factory, recording_of, "A") == 1
+        assert store_calibration(factory, recording_of, "A") == 1
     assert registry.verify() == []

@@ -28,8 +28,8 @@ why = st.none() | st.sampled_from([plain("라벨이 없음"), reason("trimmed", 
 numbers = st.lists(number, max_size=3).map(tuple)
 pair = st.tuples(number, number)
 line, error = st.builds(LoadLine, number, number), st.builds(MeasuredError, positive, counted)
-own = st.none() | st.builds(OwnCalibrationScores, error, error, error)
-scores = st.builds(Scores, error, error, own, st.dictionaries(st.sampled_from(["gap", "stuck"]), counted))
+own_scores = st.none() | st.builds(OwnCalibrationScores, error, error, error)
+scores = st.builds(Scores, error, error, own_scores, st.dictionaries(st.sampled_from(["gap", "stuck"]), counted))
 limits = st.builds(
     Limit, st.just("N"), positive, reference_expanded=st.none() | positive, full_range=st.none() | positive
 )

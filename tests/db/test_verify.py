@@ -96,13 +96,13 @@ def test_a_function_that_forbids_nothing_any_more_is_found(people):
         assert any("blobs_no_delete" in line for line in people.verify())
         return
     with people.database.reading() as connection:
-        made = connection.execute(text("SELECT pg_get_functiondef('softcal_append_only'::regproc)")).scalar_one()
+        definition = connection.execute(text("SELECT pg_get_functiondef('softcal_append_only'::regproc)")).scalar_one()
     behind(people, "CREATE OR REPLACE FUNCTION softcal_append_only() RETURNS trigger LANGUAGE plpgsql AS "
                    "$$ BEGIN RETURN NULL; END $$")  # fmt: skip
     try:
         assert people.verify() != []
     finally:
-        behind(people, made)
+        behind(people, definition)
 
 
 @pytest.mark.parametrize(("kind", "other"), [("arrays", "array"), ("arrays", "document"), ("array", "arrays")])
@@ -152,15 +152,15 @@ def test_after_a_restore_the_trail_begins_with_it(people, tmp_path):
     with open_registry(f"sqlite:///{tmp_path / 'again.db'}") as again:
         first = again.trail.rows(again.origin)[0]
         assert first.action == "restore"
-        told = {origin: tuple(head) for origin, head in json.loads(first.after)["heads"].items()}
-        assert told == people.trail.heads()
+        heads = {origin: tuple(head) for origin, head in json.loads(first.after)["heads"].items()}
+        assert heads == people.trail.heads()
         assert again.verify() == [] and again.verify(is_quick=True) == []
     assert main(["registry", "verify", "--registry", f"sqlite:///{tmp_path / 'again.db'}"]) == 0
 
 
 def edits(registry) -> list[str]:
     """One change of every column of every table that decides something, and one row less of each."""
-    made = []
+    edits_made = []
     for name in (*AUDITED, "audit", "blobs", "users"):
         table = metadata.tables[name]
         for column in table.columns:
@@ -170,13 +170,15 @@ def edits(registry) -> list[str]:
                 bytes: "x'00'",
             }.get(kind, f"replace(replace(\"{column.name}\", '1', '2'), 'a', 'b') || 'x'")  # fmt: skip
             change = f"coalesce({change}, {1 if kind in (int, float) else repr('x')})"
-            made.append(f'UPDATE {name} SET "{column.name}" = {change} WHERE rowid = (SELECT max(rowid) FROM {name})')
-        made.append(f"DELETE FROM {name} WHERE rowid = (SELECT max(rowid) FROM {name})")
-    return made
+            edits_made.append(
+                f'UPDATE {name} SET "{column.name}" = {change} WHERE rowid = (SELECT max(rowid) FROM {name})'
+            )
+        edits_made.append(f"DELETE FROM {name} WHERE rowid = (SELECT max(rowid) FROM {name})")
+    return edits_made
 
 
 @pytest.mark.parametrize(
-    ("statement", "said", "is_told_at_use"),
+    ("statement", "message", "is_reported_at_use"),
     [
         # The same instant to Python, and behind every other one to the database.
         ("UPDATE refusals SET made_at = replace(made_at, ' ', 'T')", "made_at", True),
@@ -186,7 +188,7 @@ def edits(registry) -> list[str]:
         ("UPDATE golden_runs SET passed = 2", "passed", False),
     ],
 )
-def test_a_value_in_other_words_is_found(file_registry, make_factory, statement, said, is_told_at_use):
+def test_a_value_in_other_words_is_found(file_registry, make_factory, statement, message, is_reported_at_use):
     factory = make_factory(file_registry)
     factory.calibrate("A1", 1)
     file_registry.calibrations.refuse("L1", "A1", "fail", (plain("constant"),))
@@ -197,11 +199,11 @@ def test_a_value_in_other_words_is_found(file_registry, make_factory, statement,
     behind(file_registry, f"DROP TRIGGER {table}_no_update", statement)
     lines = [line for line in file_registry.verify() if not line.startswith("trigger ")]
     assert lines and all(table in line or line.startswith(("values", "audit trail", "rows")) for line in lines)
-    if is_told_at_use:
+    if is_reported_at_use:
         with pytest.raises(RegistryError, match="damaged"):
             file_registry.lots.units("L1"), file_registry.lots.all()
     else:
-        assert any(said in line for line in lines)
+        assert any(message in line for line in lines)
 
 
 PASSING = ("failures", "locked_until", "changed_at")
@@ -279,13 +281,13 @@ def test_no_flipped_bit_is_silent(file_registry, make_factory, tmp_path, seed, f
         flipped[at] ^= 1 << int(rng.integers(0, 8))
         copy.write_bytes(flipped)
         try:
-            told = answer(f"sqlite:///{copy}")
+            answer_text = answer(f"sqlite:///{copy}")
         except SoftcalError:
             continue
         except Exception as error:
             defects.append((at, repr(error)))
             continue
-        if told != true:
+        if answer_text != true:
             silent.append(at)
     assert silent == [] and defects == []
 
@@ -309,9 +311,9 @@ def test_whoever_reads_a_unit_is_told_that_its_fit_or_method_is_another(file_reg
             raw.execute(f"DROP TRIGGER {table}_no_update")
         assert raw.execute(statement).rowcount == 1
     with open_registry(f"sqlite:///{path}", create=False) as registry:
-        for asked in (registry.calibrations.get, registry.calibrations.history):
+        for read in (registry.calibrations.get, registry.calibrations.history):
             with pytest.raises(RegistryError):
-                asked("A1")
+                read("A1")
         with pytest.raises(RegistryError):
             registry.pages.unit_statuses("L1", ["A1"])
 
@@ -337,14 +339,14 @@ def test_a_row_that_a_damaged_index_hides_or_swaps_is_missed_by_whoever_asks(
         size = raw.execute("PRAGMA page_size").fetchone()[0]
         pages = [n for (n,) in raw.execute("SELECT pageno FROM dbstat WHERE name = ? AND pagetype = 'leaf'", (index,))]
 
-    def told(url: str) -> list[object]:
+    def read_everything(url: str) -> list[object]:
         with open_registry(url, create=False) as registry:
             pages = registry.pages.unit_page("L1", UnitFilter()).units
             revisions = [[c.state.map_sha256 for c in registry.calibrations.history(serial)] for serial in ("A1", "B1")]
-            used = [registry.calibrations.get(serial).revision for serial in ("A1", "B1")]
-            return [registry.lots.units(), pages, revisions, used]
+            revisions_in_use = [registry.calibrations.get(serial).revision for serial in ("A1", "B1")]
+            return [registry.lots.units(), pages, revisions, revisions_in_use]
 
-    true, content, refused, swapped = told(f"sqlite:///{path}"), path.read_bytes(), 0, []
+    true, content, refused, swapped = read_everything(f"sqlite:///{path}"), path.read_bytes(), 0, []
     for number in pages:
         for name in (b"A1", b"B1"):
             start = (number - 1) * size
@@ -354,7 +356,7 @@ def test_a_row_that_a_damaged_index_hides_or_swaps_is_missed_by_whoever_asks(
                     other = b"A1" if name == b"B1" else b"B1"
                     copy.write_bytes(content[:at] + other + content[at + 2 :])
                     try:
-                        if told(f"sqlite:///{copy}") != true:
+                        if read_everything(f"sqlite:///{copy}") != true:
                             swapped.append(at)
                     except SoftcalError:
                         refused += 1

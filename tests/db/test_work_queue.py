@@ -96,11 +96,11 @@ def test_a_lease_that_no_clock_could_have_written_is_none(queue, clock):
 
 def test_many_workers_at_once_do_every_item_exactly_once(queue):
     queue.enqueue(WORK, requests(60))
-    taken: list[int] = []
+    items_taken: list[int] = []
 
     def work(owner: str) -> None:
         while items := queue.claim(owner, WORK, 3, 60):
-            taken.extend(item.id for item in items if queue.finish(owner, [item.id]))
+            items_taken.extend(item.id for item in items if queue.finish(owner, [item.id]))
 
     threads = [threading.Thread(target=work, args=(f"w{k}",)) for k in range(4)]
     for thread in threads:
@@ -109,4 +109,4 @@ def test_many_workers_at_once_do_every_item_exactly_once(queue):
         thread.join()
     # On PostgreSQL a worker may see nothing free while others hold the rows; what it left is still queued.
     work("last")
-    assert len(taken) == len(set(taken)) == 60 and set(queue.counts().values()) == {0}
+    assert len(items_taken) == len(set(items_taken)) == 60 and set(queue.counts().values()) == {0}

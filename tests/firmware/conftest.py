@@ -68,9 +68,9 @@ def real_case(measured_data: Path) -> DeviceCase:
     unit_map = fit_affine(FitProblem(source, network, target.unlabelled))
     network_file = build_network_file(network, source, AnchorConfig())
     estimate = network.evaluate(unit_map.apply(target.windows))
-    facts = DeviceRecord("S2", 1, "pass", 0, unit_map, target.unlabelled, estimate - 0.4, estimate + 0.5, 0.3)
+    record = DeviceRecord("S2", 1, "pass", 0, unit_map, target.unlabelled, estimate - 0.4, estimate + 0.5, 0.3)
     options = DeviceOptions(InputScale.from_converter(10, 5.0))
-    unit_file = build_unit_file(facts, network, network_file, options).file
+    unit_file = build_unit_file(record, network, network_file, options).file
     return DeviceCase(network, unit_map, network_file, unit_file, target.unlabelled)
 
 
@@ -102,8 +102,8 @@ def build(tmp_path_factory: pytest.TempPathFactory, require_program: Callable[..
         require_program("gcc")
         program = tmp_path_factory.mktemp("host") / source.stem
         command = ["gcc", *WARNINGS, *options, f"-I{RUNTIME}", str(source), "-o", str(program)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        process = subprocess.run(command, capture_output=True, text=True)
+        assert process.returncode == 0, process.stderr
         return program
 
     return compile_for_host
@@ -146,12 +146,12 @@ def run_on_board(require_program: Callable[..., str], examples: Path, tmp_path: 
         (tmp_path / "codes.h").write_text(f"static const uint16_t SS_TABLE codes[] = {{{listed}}};\n")
         image = tmp_path / "softsensor.elf"
         image.unlink(missing_ok=True)
-        done = subprocess.run(
+        process = subprocess.run(
             ["make", "-s", f"BOARD={board}", f"HEADERS={tmp_path}", f"OUT={image}", f"OPTIMISE={options}", "run"],
             cwd=examples / "emulated", capture_output=True, text=True, timeout=300,
         )  # fmt: skip
-        assert done.returncode == 0, done.stdout + done.stderr
-        lines = [line.split() for line in done.stdout.splitlines() if line]
+        assert process.returncode == 0, process.stdout + process.stderr
+        lines = [line.split() for line in process.stdout.splitlines() if line]
         estimates = np.array([row[1:] for row in lines if row[0] == "e"], dtype=int)
         numbers = {row[0]: int(row[1]) for row in lines if len(row) == 2 and row[0] != "e"}
         return Run(estimates, numbers)

@@ -15,10 +15,10 @@ from softcal.core.windows import TAPS
 STUCK_ms = 60_000
 """A code that stays the same for so long is flagged."""
 
-MOST_TRIM_SAMPLES = 4096
+MAX_TRIM_SAMPLES = 4096
 
-MOST_REACH = 65_535
-MOST_LOAD_ERROR = 16_383
+MAX_HALF_WIDTH = 65_535
+MAX_LOAD_ERROR = 16_383
 
 
 @dataclass(frozen=True)
@@ -33,17 +33,17 @@ class RatePlan:
 
     gap: int
     step: int
-    least: int
-    most: int
+    minimum: int
+    maximum: int
 
     @classmethod
-    def of(cls, period_us: int, gap_ms: int) -> "RatePlan":
+    def from_period(cls, period_us: int, gap_ms: int) -> "RatePlan":
         """Plan for a sample period in µs."""
         return cls(gap_ms, (period_us - 1) // 2000, 63 * period_us // 5000, 77 * period_us // 5000)
 
-    def is_kept(self, steps_ms: list[int]) -> bool:
+    def keeps_rate(self, steps_ms: list[int]) -> bool:
         """Whether the steps within a window (all but the one to its oldest sample) keep to the plan."""
-        return min(steps_ms) >= self.step and self.least <= sum(steps_ms) + 1 and sum(steps_ms) <= self.most + 1
+        return min(steps_ms) >= self.step and self.minimum <= sum(steps_ms) + 1 and sum(steps_ms) <= self.maximum + 1
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,9 @@ class Trim:
 
     shift: Shift = Shift()
     loads: tuple[int, int] = (0, 0)
-    reach: tuple[int, int] = (0, 0)
+    half_widths: tuple[int, int] = (0, 0)
 
-    def reach_at(self, value: int) -> int:
+    def half_width_at(self, value: int) -> int:
         """Return the 90 % half-width of what the trim leaves open at an estimate, in counts.
 
         The errors at the two loads are independent and run in a straight line between and beyond them.
@@ -82,7 +82,10 @@ class Trim:
         if not apart:
             return 0
         away = abs(value - self.loads[1]), abs(value - self.loads[0])
-        parts = [min(MOST_REACH, -(-reach * far // apart)) for reach, far in zip(self.reach, away, strict=True)]
+        parts = [
+            min(MAX_HALF_WIDTH, -(-half_widths * far // apart))
+            for half_widths, far in zip(self.half_widths, away, strict=True)
+        ]
         return joined(parts[0], parts[1])
 
 
@@ -93,7 +96,7 @@ def joined(a: int, b: int) -> int:
     step = 2 if max(a, b) > ACTIVATION_MAX else 1
     square = (-(-a // step)) ** 2 + (-(-b // step)) ** 2
     root = math.isqrt(square)
-    return min(MOST_REACH, step * (root + (root * root < square)))
+    return min(MAX_HALF_WIDTH, step * (root + (root * root < square)))
 
 
 class DeviceStream:
@@ -101,7 +104,7 @@ class DeviceStream:
 
     def __init__(self, sensor: DeviceSensor, trim: Trim = Trim()) -> None:  # noqa: B008
         self._sensor, self._trim = sensor, trim
-        self._plan = RatePlan.of(sensor.network_file.period_us, sensor.network_file.gap_ms)
+        self._plan = RatePlan.from_period(sensor.network_file.period_us, sensor.network_file.gap_ms)
         self._ring = np.zeros(TAPS, dtype=np.int64)
         self._outside = np.zeros(TAPS, dtype=np.bool_)
         self._steps = [0] * TAPS
@@ -135,13 +138,13 @@ class DeviceStream:
         """Return value, lower, upper in counts, and flags; all values 0 where there is no number yet."""
         if self._filled < TAPS:
             return 0, 0, 0, WARM_UP
-        found = self._sensor.estimate_mapped(self._ring[None, :], self._outside[None, :])
-        flags = int(found.flags[0]) | STUCK * self._is_stuck
+        sensor_estimate = self._sensor.estimate_mapped(self._ring[None, :], self._outside[None, :])
+        flags = int(sensor_estimate.flags[0]) | STUCK * self._is_stuck
         flags |= STALE * ((now_ms - self._last_ms) % 2**32 > self._plan.gap)
-        flags |= WRONG_RATE * (not self._plan.is_kept(self._steps[1:]))
-        value, reach = int(found.value[0]), self._trim.reach_at(int(found.value[0]))
-        minus, plus = (int(side[0]) for side in self._sensor.half_widths(found.value))
-        lower, upper = value - joined(minus, reach), value + joined(plus, reach)
+        flags |= WRONG_RATE * (not self._plan.keeps_rate(self._steps[1:]))
+        value, half_width = int(sensor_estimate.value[0]), self._trim.half_width_at(int(sensor_estimate.value[0]))
+        minus, plus = (int(side[0]) for side in self._sensor.half_widths(sensor_estimate.value))
+        lower, upper = value - joined(minus, half_width), value + joined(plus, half_width)
         return value, max(-ACTIVATION_MAX, lower), min(ACTIVATION_MAX, upper), flags
 
 
@@ -151,7 +154,7 @@ class TrimResult(IntEnum):
     TRIMMED = 0
     MORE = 1
     MOVING = 2
-    OUT_OF_REACH = 3
+    OUT_OF_RANGE = 3
     TOO_FAR = 4
     TOO_CLOSE = 5
     ALIKE = 6
@@ -176,48 +179,48 @@ def find_trim(
     levels, unit = sensor.network_file.levels, sensor.unit_file
     if min(map(len, codes)) < TAPS:
         return TrimResult.MORE, Trim()
-    if loads[0] == loads[1] or max(errors) > MOST_LOAD_ERROR:
+    if loads[0] == loads[1] or max(errors) > MAX_LOAD_ERROR:
         return TrimResult.TOO_CLOSE, Trim()
-    used = [c[:MOST_TRIM_SAMPLES] for c in codes]
-    wanted = [y for load in loads if (y := _rest_of(sensor, levels.at(load))) is not None]
-    if len(wanted) < len(loads) or any(is_beyond(unit, c).any() for c in used):
-        return TrimResult.OUT_OF_REACH, Trim()
-    mapped = [unit.device_map.on_samples(c) for c in used]
-    seen = [_towards_zero(int(y.sum()), len(y)) for y in mapped]
-    apart, rise, load = seen[1] - seen[0], abs(wanted[1] - wanted[0]), abs(loads[1] - loads[0])
+    codes_used = [c[:MAX_TRIM_SAMPLES] for c in codes]
+    targets = [y for load in loads if (y := _rest_of(sensor, levels.at(load))) is not None]
+    if len(targets) < len(loads) or any(is_beyond(unit, c).any() for c in codes_used):
+        return TrimResult.OUT_OF_RANGE, Trim()
+    mapped = [unit.device_map.on_samples(c) for c in codes_used]
+    mean_codes = [_towards_zero(int(y.sum()), len(y)) for y in mapped]
+    apart, rise, load = mean_codes[1] - mean_codes[0], abs(targets[1] - targets[0]), abs(loads[1] - loads[0])
     if not rise or not apart:
         return TrimResult.ALIKE, Trim()
     if any(4 * int(np.ptp(y)) > abs(apart) for y in mapped):
         return TrimResult.MOVING, Trim()
-    misread = [abs(_at_rest(sensor, wanted[k]) - loads[k]) for k in (0, 1)]
+    bias = [abs(_at_rest(sensor, targets[k]) - loads[k]) for k in (0, 1)]
     spread = [-(-(int(np.ptp(y)) + 2) * load // abs(apart)) for y in mapped]
-    reach = [_load_reach(sensor, loads[k], spread[k], errors[k], misread[k]) for k in (0, 1)]
-    open_ = joined(*reach)
+    half_width = [_load_half_width(sensor, loads[k], spread[k], errors[k], bias[k]) for k in (0, 1)]
+    open_ = joined(*half_width)
     if load <= open_ or abs(apart) * load // rise <= open_:
         return TrimResult.ALIKE, Trim()
-    missing = wanted[1] - wanted[0] - apart
+    missing = targets[1] - targets[0] - apart
     if abs(missing) > abs(apart) // 2:
         return TrimResult.TOO_FAR, Trim()
-    off = [min(MOST_REACH, abs(wanted[k] - seen[k]) * load // rise) for k in (0, 1)]
-    if all(422 * off[k] <= 256 * reach[k] for k in (0, 1)):
+    off = [min(MAX_HALF_WIDTH, abs(targets[k] - mean_codes[k]) * load // rise) for k in (0, 1)]
+    if all(422 * off[k] <= 256 * half_width[k] for k in (0, 1)):
         return TrimResult.NEEDLESS, Trim()
-    if joined(*misread) > joined(*(abs(_at_rest(sensor, seen[k]) - loads[k]) for k in (0, 1))):
+    if joined(*bias) > joined(*(abs(_at_rest(sensor, mean_codes[k]) - loads[k]) for k in (0, 1))):
         return TrimResult.WORSE, Trim()
     gain = _towards_zero(missing * 2**15, apart)
-    offset = wanted[0] - seen[0] - (gain * (seen[0] - unit.pivot) >> 15)
+    offset = targets[0] - mean_codes[0] - (gain * (mean_codes[0] - unit.pivot) >> 15)
     if abs(offset) > ACTIVATION_MAX:
         return TrimResult.TOO_FAR, Trim()
-    return TrimResult.TRIMMED, Trim(Shift(gain, offset), loads, (reach[0], reach[1]))
+    return TrimResult.TRIMMED, Trim(Shift(gain, offset), loads, (half_width[0], half_width[1]))
 
 
-def _load_reach(sensor: DeviceSensor, load: int, spread: int, error: int, misread: int) -> int:
+def _load_half_width(sensor: DeviceSensor, load: int, spread: int, error: int, bias: int) -> int:
     """The 90 % half-width of what is not known at one load, in counts.
 
     How well the load itself is known; where within the range of its readings the level lies (rectangular, GUM 4.3.7,
     widened by a count for rounding); what f misreads at rest; and the error of the unit's calibration.
     """
     # 122 / 256 is 1.645 / sqrt(12), 422 / 256 is 1.645, both rounded up.
-    read = joined(joined(-(-122 * spread // 256), -(-422 * error // 256)), misread)
+    read = joined(joined(-(-122 * spread // 256), -(-422 * error // 256)), bias)
     return joined(read, max(int(side[0]) for side in sensor.half_widths(np.array([load]))))
 
 
@@ -239,14 +242,14 @@ def _rest_of(sensor: DeviceSensor, level: int | None) -> int | None:
 
     if level is None:
         return None
-    wanted = TAPS * level
+    target = TAPS * level
     a, b = sorted((-ACTIVATION_MAX, ACTIVATION_MAX), key=at_rest)
-    if not at_rest(a) <= wanted <= at_rest(b):
+    if not at_rest(a) <= target <= at_rest(b):
         return None
     while abs(b - a) > 1:
         middle = a + _towards_zero(b - a, 2)
-        a, b = (middle, b) if at_rest(middle) < wanted else (a, middle)
-    return a if wanted - at_rest(a) <= at_rest(b) - wanted else b
+        a, b = (middle, b) if at_rest(middle) < target else (a, middle)
+    return a if target - at_rest(a) <= at_rest(b) - target else b
 
 
 def is_beyond(unit: UnitFile, codes: Integers) -> NDArray[np.bool_]:

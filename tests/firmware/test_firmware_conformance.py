@@ -22,8 +22,8 @@ Reader = Callable[[Path, str], tuple[int, list[str]]]
 def _program(*command: str) -> Reader:
     def read(unit: Path, text: str) -> tuple[int, list[str]]:
         arguments = [*command, str(VECTORS / "network.ssc"), str(unit), "SYN-1"]
-        done = subprocess.run(arguments, input=text, capture_output=True, text=True)
-        return done.returncode, done.stdout.splitlines()
+        process = subprocess.run(arguments, input=text, capture_output=True, text=True)
+        return process.returncode, process.stdout.splitlines()
 
     return read
 
@@ -84,8 +84,8 @@ def test_the_vectors_are_those_the_generator_writes(tmp_path: Path) -> None:
     generate = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(generate)
     generate.write(tmp_path)
-    written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert written == {path.name: path.read_bytes() for path in VECTORS.iterdir() if path.suffix in (".ssc", ".txt")}
+    files = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert files == {path.name: path.read_bytes() for path in VECTORS.iterdir() if path.suffix in (".ssc", ".txt")}
 
 
 def test_the_python_reader_needs_nothing_that_micropython_lacks() -> None:

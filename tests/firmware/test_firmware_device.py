@@ -41,9 +41,9 @@ def test_the_board_gives_the_integers_of_numpy_within_its_budget(
     assert run.numbers["status"] == 0
     assert np.array_equal(run.estimates, _reference(network, unit, codes))
     assert run.instructions <= 85_000
-    told = device_cost(network.network, unit.device_map)
-    assert told.instructions == pytest.approx(run.instructions, rel=0.05)
-    assert told.ram_bytes == run.numbers["ram_bytes"]
+    cost = device_cost(network.network, unit.device_map)
+    assert cost.instructions == pytest.approx(run.instructions, rel=0.05)
+    assert cost.ram_bytes == run.numbers["ram_bytes"]
     assert run.numbers["ram_bytes"] <= 700
     assert run.numbers["stack_bytes"] <= 256
 
@@ -71,8 +71,8 @@ def test_a_map_with_a_mix_gives_the_integers_of_numpy_on_every_core(
     assert run.instructions <= {"m0": 85_000, "m4": 85_000, "rv32": 110_000, "mega": 1_300_000}[board]
     assert run.numbers["stack_bytes"] <= 256
     if board == "m0":
-        told = device_cost(network.network, unit.device_map)
-        assert told.instructions == pytest.approx(run.instructions, rel=0.05)
+        cost = device_cost(network.network, unit.device_map)
+        assert cost.instructions == pytest.approx(run.instructions, rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["unit-curve", "unit-layer", "unit-curve-layer"])
@@ -132,7 +132,7 @@ def test_two_known_loads_trim_a_unit_on_the_board_as_in_numpy(run_on_board: Call
     result, trim = find_trim(sensor, at_rest, (loads[0], loads[1]), (0, 9))
     assert (run.numbers["trim"], result) == (0, TrimResult.TRIMMED)
     assert (run.numbers["trim_gain"], run.numbers["trim_offset"]) == (trim.shift.gain, trim.shift.offset) != (0, 0)
-    assert (run.numbers["trim_reach_0"], run.numbers["trim_reach_1"]) == trim.reach
+    assert (run.numbers["trim_reach_0"], run.numbers["trim_reach_1"]) == trim.half_widths
     assert np.array_equal(run.estimates, _reference(network, unit, codes, trim))
 
 
@@ -143,9 +143,9 @@ def test_the_portable_loop_gives_the_same_integers(run_on_board: Callable[..., R
     assert run.instructions <= 85_000
 
 
-@pytest.mark.parametrize(("core", "most_bytes"), [("cortex-m0plus", 1920), ("cortex-m4", 1920)])
+@pytest.mark.parametrize(("core", "max_bytes"), [("cortex-m0plus", 1920), ("cortex-m4", 1920)])
 def test_code_and_tables_stay_small(
-    require_program: Callable[..., str], runtime: Path, tmp_path: Path, core: str, most_bytes: int
+    require_program: Callable[..., str], runtime: Path, tmp_path: Path, core: str, max_bytes: int
 ) -> None:
     require_program("arm-none-eabi-gcc")
     source, image = tmp_path / "size.c", tmp_path / "size.o"
@@ -159,9 +159,9 @@ ss_estimate tick(uint16_t code, uint32_t t) { ss_push(&sensor, code, t); return 
     subprocess.run(
         ["arm-none-eabi-gcc", *flags, "-Werror", f"-I{runtime}", "-c", str(source), "-o", str(image)], check=True
     )
-    told = subprocess.run(["arm-none-eabi-size", str(image)], capture_output=True, text=True, check=True).stdout
-    text, data, bss = (int(n) for n in re.findall(r"\d+", told.splitlines()[1])[:3])
-    assert text + data <= most_bytes
+    sizes = subprocess.run(["arm-none-eabi-size", str(image)], capture_output=True, text=True, check=True).stdout
+    text, data, bss = (int(n) for n in re.findall(r"\d+", sizes.splitlines()[1])[:3])
+    assert text + data <= max_bytes
     assert bss <= 700
 
 
@@ -185,6 +185,6 @@ int all(const void *n, uint32_t nb, const void *const u[3], uint32_t ub) {
          "-Wextra", "-Werror", f"-I{runtime}", "-c", str(source), "-o", str(image)], check=True,
     )  # fmt: skip
     symbols = subprocess.run(["arm-none-eabi-nm", "-u", str(image)], capture_output=True, text=True, check=True).stdout
-    wanted = {line.split()[-1] for line in symbols.splitlines()}
+    undefined_symbols = {line.split()[-1] for line in symbols.splitlines()}
     # Division and small switches are the compiler's own (libgcc); memcpy it may use for structures.
-    assert {name for name in wanted if not name.startswith(("__aeabi_", "__gnu_"))} <= {"memcpy"}
+    assert {name for name in undefined_symbols if not name.startswith(("__aeabi_", "__gnu_"))} <= {"memcpy"}

@@ -26,9 +26,9 @@ def program(build_checked: Build, examples: Path) -> Path:
 def _run(program: Path, network: Path, unit: Path, samples: list[tuple[int, int]], *serial: str) -> tuple[int, Any]:
     text = "".join(f"{t_ms} {code}\n" for t_ms, code in samples)
     command = [str(program), str(network), str(unit), *serial]
-    done = subprocess.run(command, input=text, capture_output=True, text=True)
-    assert "runtime error" not in done.stderr and "Sanitizer" not in done.stderr
-    return done.returncode, np.array([line.split() for line in done.stdout.splitlines()], dtype=int)
+    process = subprocess.run(command, input=text, capture_output=True, text=True)
+    assert "runtime error" not in process.stderr and "Sanitizer" not in process.stderr
+    return process.returncode, np.array([line.split() for line in process.stdout.splitlines()], dtype=int)
 
 
 def _reference(case: Any, samples: list[tuple[int, int]]) -> np.ndarray:
@@ -44,13 +44,13 @@ def test_every_sample_of_a_real_recording_gives_the_integers_of_numpy(
     program: Path, real_case: Any, tmp_path: Path
 ) -> None:
     samples = [(1000 + 20 * k, int(code)) for k, code in enumerate(real_case.codes)]
-    code, found = _run(program, *real_case.write(tmp_path), samples, "S2")
+    code, outputs = _run(program, *real_case.write(tmp_path), samples, "S2")
     assert code == 0
-    assert np.array_equal(found, _reference(real_case, samples))
+    assert np.array_equal(outputs, _reference(real_case, samples))
     # All at once gives the same as one by one.
     sensor = open_sensor(real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
     at_once = sensor.estimate(real_case.unit_file.scale.codes(real_case.recording.windows))
-    assert np.array_equal(found[14:, 0], at_once.value)
+    assert np.array_equal(outputs[14:, 0], at_once.value)
 
 
 def test_integers_are_within_3_mN_of_float64_on_the_real_recording(real_case: Any) -> None:
@@ -69,10 +69,10 @@ def test_gaps_noise_and_codes_out_of_range_are_flagged_alike(
     codes = rng.integers(0, 65_536, 3000)
     codes[::3] = rng.choice(real_case.codes, 1000)
     samples = [(int(t) % 2**32, int(code)) for t, code in zip(t_ms, codes, strict=True)]
-    code, found = _run(program, *real_case.write(tmp_path), samples)
+    code, outputs = _run(program, *real_case.write(tmp_path), samples)
     assert code == 0
-    assert np.array_equal(found, _reference(real_case, samples))
-    flags = set(found[:, 3].tolist())
+    assert np.array_equal(outputs, _reference(real_case, samples))
+    flags = set(outputs[:, 3].tolist())
     assert WARM_UP in flags
     assert all(any(flag & bit for flag in flags) for bit in (OUT_OF_RANGE, CLAMPED, WRONG_RATE))
 
@@ -87,19 +87,19 @@ def test_samples_at_another_rate_are_flagged(
 ) -> None:
     t_ms = 1000 + np.cumsum([steps_ms[k % len(steps_ms)] for k in range(100)])
     samples = [(int(t), int(code)) for t, code in zip(t_ms, real_case.codes, strict=False)]
-    code, found = _run(program, *real_case.write(tmp_path), samples)
+    code, outputs = _run(program, *real_case.write(tmp_path), samples)
     assert code == 0
-    assert np.array_equal(found, _reference(real_case, samples))
-    assert set((found[14:, 3] & WRONG_RATE).tolist()) == ({WRONG_RATE} if is_flagged else {0})
+    assert np.array_equal(outputs, _reference(real_case, samples))
+    assert set((outputs[14:, 3] & WRONG_RATE).tolist()) == ({WRONG_RATE} if is_flagged else {0})
 
 
 def test_a_code_that_stays_for_a_minute_is_stuck_until_it_moves(program: Path, real_case: Any, tmp_path: Path) -> None:
     codes = [20_000] * 3010 + [20_064] + [20_000] * 20
     samples = [(1000 + 20 * k, code) for k, code in enumerate(codes)]
-    code, found = _run(program, *real_case.write(tmp_path), samples)
+    code, outputs = _run(program, *real_case.write(tmp_path), samples)
     assert code == 0
-    assert np.array_equal(found, _reference(real_case, samples))
-    stuck = np.flatnonzero(found[:, 3] & STUCK)
+    assert np.array_equal(outputs, _reference(real_case, samples))
+    stuck = np.flatnonzero(outputs[:, 3] & STUCK)
     assert (stuck[0], stuck[-1]) == (3000, 3009)
 
 
@@ -143,9 +143,9 @@ def test_every_form_of_map_gives_the_same_integers(
     for t_ms, sample in samples:
         stream.push(sample, t_ms)
         expected.append(stream.read(t_ms))
-    code, found = _run(program, network, unit, samples, "SYN-1")
+    code, outputs = _run(program, network, unit, samples, "SYN-1")
     assert code == 0
-    assert np.array_equal(found, np.array(expected))
+    assert np.array_equal(outputs, np.array(expected))
 
 
 def test_each_refusal_ends_with_its_own_status(program: Path, real_case: Any, tmp_path: Path) -> None:
@@ -183,14 +183,14 @@ def test_of_a_hundred_thousand_damaged_files_none_gives_a_number(
         (CONFORMANCE / "network.ssc", CONFORMANCE / "unit-curve-layer.ssc", "20000", "2000", "10000"),
         (CONFORMANCE / "network.ssc", CONFORMANCE / "unit-mix.ssc", "30000", "0", "20000"),
     ]
-    tried = 0
+    attempts = 0
     for a, b, *counts in rounds:
-        done = subprocess.run([str(fuzz), str(a), str(b), *counts, "7"], capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr + done.stdout
-        words = done.stdout.split()
-        assert words[2:4] == ["accepted", "0"]
-        tried += int(words[1])
-    assert tried >= 100_000
+        process = subprocess.run([str(fuzz), str(a), str(b), *counts, "7"], capture_output=True, text=True)
+        assert process.returncode == 0, process.stderr + process.stdout
+        counts_printed = process.stdout.split()
+        assert counts_printed[2:4] == ["accepted", "0"]
+        attempts += int(counts_printed[1])
+    assert attempts >= 100_000
 
 
 def test_exported_headers_compile_and_give_the_same_number(
@@ -214,10 +214,10 @@ int main(void) {{
   return ss_exponent(&sensor) == -3 ? 0 : 2;
 }}
 """)
-    done = subprocess.run([str(build_checked(tmp_path / "main.c"))], capture_output=True, text=True)
+    process = subprocess.run([str(build_checked(tmp_path / "main.c"))], capture_output=True, text=True)
     sensor = open_sensor(real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
-    assert done.returncode == 0
-    assert int(done.stdout) == sensor.estimate(real_case.codes[None, 100:115]).value[0]
+    assert process.returncode == 0
+    assert int(process.stdout) == sensor.estimate(real_case.codes[None, 100:115]).value[0]
 
 
 ARDUINO_H = """
@@ -265,9 +265,9 @@ def sketch(runtime: Path, examples: Path, real_case: Any, tmp_path: Path, requir
 
 @pytest.mark.parametrize("stall_ms", [0, 3, 9, 12, 15, 19, 25, 40, 200, 1500])
 def test_the_arduino_sketch_gives_no_wrong_window_after_a_stall(sketch: Path, stall_ms: int) -> None:
-    done = subprocess.run([str(sketch), str(stall_ms)], capture_output=True, text=True)
-    assert done.returncode == 0
-    flags = [int(line) for line in done.stdout.split()]
+    process = subprocess.run([str(sketch), str(stall_ms)], capture_output=True, text=True)
+    assert process.returncode == 0
+    flags = [int(line) for line in process.stdout.split()]
     assert len(flags) > 90
     assert not any(flag & (WRONG_RATE | WARM_UP) for flag in flags)
 
@@ -279,8 +279,8 @@ def test_the_header_alone_gives_no_warning(
     compiler, standard, name = command
     (tmp_path / name).write_text('#include "softsensor.h"\n')
     warnings = ["-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wcast-qual", "-Werror"]
-    done = subprocess.run(
+    process = subprocess.run(
         [require_program(compiler), standard, *warnings, f"-I{runtime}", "-c", name, "-o", "only.o"],
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr

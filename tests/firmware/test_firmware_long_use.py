@@ -93,9 +93,9 @@ def test_an_update_that_fails_its_self_test_is_passed_over_and_may_be_written_ag
 
 def test_an_update_cut_off_at_any_byte_leaves_the_old_calibration(bridge: ctypes.CDLL, real_case: Any) -> None:
     in_use, update = (replace(real_case.unit_file, revision=r) for r in (4, 5))
-    written = update.to_bytes()
-    for length in range(len(written)):
-        torn = _aligned(written[:length].ljust(SLOT_BYTES, b"\xff"))
+    file_bytes = update.to_bytes()
+    for length in range(len(file_bytes)):
+        torn = _aligned(file_bytes[:length].ljust(SLOT_BYTES, b"\xff"))
         assert _open_best(bridge, real_case, [_slot(in_use), torn, _slot(None)]) == 0
     assert _open_best(bridge, real_case, [_slot(in_use), _slot(update), _slot(None)]) == 1
 
@@ -146,9 +146,9 @@ def _trimmed(
         for code in samples:
             device.bridge.bridge_trim_sample(load, int(code))
     result = TrimResult(device.bridge.bridge_trim_finish(*loads, *errors))
-    kept = (ctypes.c_int32 * 6)()
-    device.bridge.bridge_trim(kept)
-    gain, offset, *rest = kept
+    output = (ctypes.c_int32 * 6)()
+    device.bridge.bridge_trim(output)
+    gain, offset, *rest = output
     return result, Trim(Shift(gain, offset), (rest[0], rest[1]), (rest[2], rest[3]))
 
 
@@ -157,7 +157,7 @@ def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
 ) -> None:
     network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
     sensor = open_sensor(network, unit)
-    seen = set()
+    results = set()
     for k in range(300):
         shares, drift = rng.uniform(-0.1, 1.1, 2), (rng.uniform(0.4, 2.0), rng.uniform(-0.4, 0.4))
         codes = tuple(_rests(real_case, share, *drift, rng, int(rng.integers(13, 60))) for share in shares)
@@ -171,12 +171,12 @@ def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
             loads = loads[:1] * 2
         errors = tuple(int(n) for n in rng.integers(0, 17_000 if k % 7 == 0 else 200, 2))
         device = Device(bridge, network, unit)
-        found = _trimmed(device, codes, loads, errors)
-        assert found == find_trim(sensor, codes, loads, errors)
-        if found[0] is TrimResult.TRIMMED:
-            _assert_reads_as_numpy(device, sensor, found[1], real_case.codes[:30])
-        seen.add(found[0])
-    assert seen == set(TrimResult)
+        on_device = _trimmed(device, codes, loads, errors)
+        assert on_device == find_trim(sensor, codes, loads, errors)
+        if on_device[0] is TrimResult.TRIMMED:
+            _assert_reads_as_numpy(device, sensor, on_device[1], real_case.codes[:30])
+        results.add(on_device[0])
+    assert results == set(TrimResult)
 
 
 def _assert_reads_as_numpy(device: Device, sensor: DeviceSensor, trim: Trim, codes: np.ndarray) -> None:
@@ -193,29 +193,29 @@ def test_the_interval_of_a_trim_is_that_of_a_line_through_two_points(
     """Against the covariance of a weighted least squares line, in floating point, out to the ends of 16 bits."""
     Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
     for _ in range(400):
-        loads, reach = rng.integers(-32_767, 32_768, 2), rng.integers(1, 65_536 if rng.random() < 0.3 else 500, 2)
+        loads, half_widths = rng.integers(-32_767, 32_768, 2), rng.integers(1, 65_536 if rng.random() < 0.3 else 500, 2)
         value = int(rng.integers(-32_767, 32_768))
         if loads[0] == loads[1]:
             continue
-        trim = Trim(Shift(), (int(loads[0]), int(loads[1])), (int(reach[0]), int(reach[1])))
-        bridge.bridge_set_trim((ctypes.c_int32 * 6)(0, 0, *trim.loads, *trim.reach))
+        trim = Trim(Shift(), (int(loads[0]), int(loads[1])), (int(half_widths[0]), int(half_widths[1])))
+        bridge.bridge_set_trim((ctypes.c_int32 * 6)(0, 0, *trim.loads, *trim.half_widths))
         design = np.column_stack([np.ones(2), loads])
-        covariance = np.linalg.inv(design.T @ (design / (reach[:, None].astype(float) ** 2)))
+        covariance = np.linalg.inv(design.T @ (design / (half_widths[:, None].astype(float) ** 2)))
         line = np.array([1.0, value])
         exact = float(np.sqrt(line @ covariance @ line))
-        found = bridge.bridge_trim_reach(value)
-        assert found == trim.reach_at(value)
+        on_device = bridge.bridge_trim_reach(value)
+        assert on_device == trim.half_width_at(value)
         # Rounded up, never down: a count for each load and for the root, two beyond 15 bits.
-        assert min(exact, 65_535) - 1e-6 * exact <= found <= min(exact + 6, 65_535)
+        assert min(exact, 65_535) - 1e-6 * exact <= on_device <= min(exact + 6, 65_535)
 
 
 def test_a_root_of_squares_is_exact_at_the_ends_of_its_range(bridge: ctypes.CDLL, rng: np.random.Generator) -> None:
     ends = [0, 1, 2, 180, 32_767, 32_768, 46_340, 46_341, 65_534, 65_535]
     pairs = [(a, b) for a in ends for b in ends] + rng.integers(0, 65_536, (2000, 2)).tolist()
     for a, b in pairs:
-        found = bridge.bridge_hypot(a, b)
-        assert found == joined(a, b)
-        assert min(np.hypot(a, b), 65_535) - 1e-9 <= found <= min(np.hypot(a, b) + 4, 65_535)
+        on_device = bridge.bridge_hypot(a, b)
+        assert on_device == joined(a, b)
+        assert min(np.hypot(a, b), 65_535) - 1e-9 <= on_device <= min(np.hypot(a, b) + 4, 65_535)
 
 
 def test_what_is_known_of_a_load_widens_the_interval_most_beyond_the_loads(
@@ -225,14 +225,20 @@ def test_what_is_known_of_a_load_widens_the_interval_most_beyond_the_loads(
     codes = tuple(_rests(real_case, share, 1.0, 0.12, rng) for share in (0.1, 0.9))
     at_rest = tuple(_rests(real_case, share, 1.0, 0.0, rng) for share in (0.1, 0.9))
     loads = tuple(_load_of(real_case, np.median(c)) for c in at_rest)
-    reaches = []
+    half_widths = []
     for error in (0, 50, 200):
         device = Device(bridge, network, unit)
         result, trim = _trimmed(device, codes, loads, (error, error))
         assert result is TrimResult.TRIMMED
         apart = loads[1] - loads[0]
-        reaches.append([trim.reach_at(loads[0]), trim.reach_at(loads[1] + apart), trim.reach_at(loads[1] + 3 * apart)])
-    assert np.all(np.diff(reaches, axis=0) > 0) and np.all(np.diff(reaches, axis=1) > 0)
+        half_widths.append(
+            [
+                trim.half_width_at(loads[0]),
+                trim.half_width_at(loads[1] + apart),
+                trim.half_width_at(loads[1] + 3 * apart),
+            ]
+        )
+    assert np.all(np.diff(half_widths, axis=0) > 0) and np.all(np.diff(half_widths, axis=1) > 0)
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.12), (1.15, 0.0), (1.2, 0.1)])

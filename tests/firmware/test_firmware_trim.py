@@ -45,7 +45,7 @@ def unit_V(load_N: Any, gain: float = 1.0, zero_V: float = 0.0) -> Any:
     return OFFSET_V + zero_V + GAIN * (0.5 + gain * (source_V(load_N) - 0.5))
 
 
-def pressed(serial: str, output_V: Callable[[Any], Any], seed: int) -> LabelledRecording:
+def press_unit(serial: str, output_V: Callable[[Any], Any], seed: int) -> LabelledRecording:
     rng = np.random.default_rng(seed)
     peaks = np.concatenate([[RANGE_N], rng.uniform(0.5, RANGE_N, 39)])
     press = np.concatenate([np.linspace(0, 1, 40), np.ones(20), np.linspace(1, 0, 40), np.zeros(20)])
@@ -112,23 +112,23 @@ def trimmed(
         for code in samples:
             bridge.bridge_trim_sample(load, int(code))
     result = TrimResult(bridge.bridge_trim_finish(*loads, error, error))
-    kept = (ctypes.c_int32 * 6)()
-    bridge.bridge_trim(kept)
-    found = Trim(Shift(kept[0], kept[1]), (kept[2], kept[3]), (kept[4], kept[5]))
+    output = (ctypes.c_int32 * 6)()
+    bridge.bridge_trim(output)
+    trim_result = Trim(Shift(output[0], output[1]), (output[2], output[3]), (output[4], output[5]))
     sensor = open_sensor(*contents)
-    assert (result, found) == find_trim(sensor, (codes[0], codes[1]), (loads[0], loads[1]), (error, error))
-    return result, found
+    assert (result, trim_result) == find_trim(sensor, (codes[0], codes[1]), (loads[0], loads[1]), (error, error))
+    return result, trim_result
 
 
 @pytest.fixture(scope="module")
 def both(bridge: ctypes.CDLL) -> Both:
-    source, unit = pressed("S0", source_V, 1), pressed("U1", unit_V, 2).unlabelled
+    source, unit = press_unit("S0", source_V, 1), press_unit("U1", unit_V, 2).unlabelled
     network = fit_network(source, NetworkConfig(hidden=(16, 8), max_epochs=60)).network
     unit_map = AffineMap(1 / GAIN, -OFFSET_V / GAIN)
     network_file = build_network_file(network, source, AnchorConfig())
     exact = network.evaluate(unit_map.apply(unit.windows))
-    facts = DeviceRecord("U1", 1, "pass", 0, unit_map, unit, exact - BAND_N, exact + BAND_N, BAND_N)
-    unit_file = build_unit_file(facts, network, network_file).file
+    record = DeviceRecord("U1", 1, "pass", 0, unit_map, unit, exact - BAND_N, exact + BAND_N, BAND_N)
+    unit_file = build_unit_file(record, network, network_file).file
     return Both(FitProblem(source, network, unit), unit_map, network_file, unit_file, bridge)
 
 
@@ -148,7 +148,9 @@ def test_the_same_loads_give_the_same_trim(both: Both, load_N: tuple[float, floa
     assert offset_V == pytest.approx(on_pc.offset, abs=4 * net.input_lsb * (1 + 1 / apart))
     levels_N = RANGE_N * (np.arange(LEVELS) + 0.5) / LEVELS
     open_N = NORMAL_90 * np.sqrt(on_pc.variance(interval()))
-    open_on_device_N = both.count_N * np.array([on_device.reach_at(round(level / both.count_N)) for level in levels_N])
+    open_on_device_N = both.count_N * np.array(
+        [on_device.half_width_at(round(level / both.count_N)) for level in levels_N]
+    )
     # The band of a device file holds what its integers are off by.
     assert open_on_device_N == pytest.approx(open_N, rel=0.05, abs=6 * both.count_N)
 
@@ -188,7 +190,7 @@ REFUSED = {
     "another sensor": ([unit_V(0.0, 2.2), unit_V(1.0, 2.2)], [0.0, 1.0], TrimResult.TOO_FAR),
     "a weak one": ([unit_V(0.0, 0.5), unit_V(2.5, 0.5)], [0.0, 2.5], TrimResult.TOO_FAR),
     "exchanged": ([unit_V(2.5), unit_V(0.0)], [0.0, 2.5], TrimResult.TOO_FAR),
-    "beyond the source": ([unit_V(0.0), unit_V(2.5)], [0.0, 3.5], TrimResult.OUT_OF_REACH),
+    "beyond the source": ([unit_V(0.0), unit_V(2.5)], [0.0, 3.5], TrimResult.OUT_OF_RANGE),
     "one load": ([unit_V(0.0), unit_V(2.5)], [1.0, 1.0], TrimResult.TOO_CLOSE),
 }
 
@@ -215,7 +217,7 @@ def test_after_a_trim_a_sample_is_out_of_range_where_the_trim_has_put_it(both: B
 
 def test_codes_beyond_the_curve_make_no_trim(both: Both) -> None:
     first = float(both.unit_file.scale.outputs(both.unit_file.device_map.curve.codes[:1])[0])  # type: ignore[union-attr]
-    assert both.on_device([first - 0.01, float(unit_V(2.5))], [0.0, 2.5])[0] is TrimResult.OUT_OF_REACH
+    assert both.on_device([first - 0.01, float(unit_V(2.5))], [0.0, 2.5])[0] is TrimResult.OUT_OF_RANGE
 
 
 def test_intervals_after_a_trim_hold_the_truth_as_often_as_they_say(both: Both, rng: np.random.Generator) -> None:
@@ -224,14 +226,14 @@ def test_intervals_after_a_trim_hold_the_truth_as_often_as_they_say(both: Both, 
     narrow = replace(both, unit_file=replace(both.unit_file, bands=bands))
     drift, error_N, load_N, checked_N = (1.1, 0.03), 0.06, (0.5, 2.0), (0.2, 0.5, 1.2, 2.0, 2.7)
     output_V = [float(unit_V(load, *drift)) for load in load_N]
-    held, widths = [], []
+    covered, widths = [], []
     for _ in range(200):
-        stated = [load + rng.normal(0, error_N) for load in load_N]
-        assert narrow.on_device(output_V, stated, error_N)[0] is TrimResult.TRIMMED
+        stated_N = [load + rng.normal(0, error_N) for load in load_N]
+        assert narrow.on_device(output_V, stated_N, error_N)[0] is TrimResult.TRIMMED
         for load in checked_N:
             _, lower, upper, _ = narrow.read(float(unit_V(load, *drift)))
-            held.append(lower * narrow.count_N <= load <= upper * narrow.count_N)
+            covered.append(lower * narrow.count_N <= load <= upper * narrow.count_N)
             widths.append((upper - lower) / 2 * narrow.count_N)
-    assert 0.85 < np.mean(held) < 0.97
+    assert 0.85 < np.mean(covered) < 0.97
     # Not by being endless: at the loads about 1.645 times what the loads are known to.
     assert np.median(np.reshape(widths, (-1, 5))[:, 1]) < 1.3 * NORMAL_90 * error_N

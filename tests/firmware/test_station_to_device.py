@@ -15,7 +15,7 @@ from softcal.db.connection import open_registry
 from tests.firmware.conftest import Run
 
 SAMPLES = 400
-PRESSED = (("source/A0", "source", 11, 40), ("units/A1", "unit", 12, 12))
+PRESSES = (("source/A0", "source", 11, 40), ("units/A1", "unit", 12, 12))
 
 
 @pytest.mark.long
@@ -25,15 +25,15 @@ def test_a_device_estimates_as_the_registry_does_of_a_unit_that_a_station_presse
     monkeypatch.chdir(tmp_path)
     shared = ("--registry", f"sqlite:///{tmp_path / 'registry.db'}")
 
-    def softcal(*words: object) -> None:
-        assert main([str(word) for word in words]) in (0, 1), words
+    def softcal(*arguments: object) -> None:
+        assert main([str(word) for word in arguments]) in (0, 1), arguments
 
     def press(file: str, kind: str, seed: int, seconds: float) -> None:
         serial = file.split("/")[-1]
         rig = ("--simulated", seed, "--spool", "spool", "--seconds", seconds)
         softcal("station", kind, *rig, "--serial", serial, "--out", f"{file}.csv")
 
-    for file, kind, seed, seconds in PRESSED:
+    for file, kind, seed, seconds in PRESSES:
         press(f"lot/{file}", kind, seed, seconds)
     toml = tmp_path / "lot" / "lot.toml"
     toml.write_text(toml.read_text() + "\n[limit]\nrmse = 2.0\n")
@@ -50,12 +50,12 @@ def test_a_device_estimates_as_the_registry_does_of_a_unit_that_a_station_presse
     exported = json.loads(Path("device/manifest.json").read_text())["units"]["A1"]
     files = {path.name.split("-")[0]: path.read_bytes() for path in Path("device").glob("*.ssc")}
     network, device = read_network(files["network"]), read_unit(files["unit"])
-    used = pd.read_csv("measured/source/A1.csv")[["t_s", "output"]][:SAMPLES]
-    used.to_csv("used.csv", index=False)
+    table = pd.read_csv("measured/source/A1.csv")[["t_s", "output"]][:SAMPLES]
+    table.to_csv("used.csv", index=False)
     softcal("estimate", *shared, "--serial", "A1", "used.csv", "--out", "estimates.csv")
     expected = pd.read_csv("estimates.csv")["estimate"].to_numpy()
 
-    board = run_on_board(network, device, device.scale.codes(used["output"].to_numpy()))
+    board = run_on_board(network, device, device.scale.codes(table["output"].to_numpy()))
     value = board.estimates[:, 0] * 10.0**network.network.output_exponent
     rows = np.arange(TAPS - 1, SAMPLES)
     assert board.numbers["status"] == 0 and np.isfinite(expected[rows]).all()

@@ -40,7 +40,7 @@ NESTED = {
 }
 """Values of a reason that are phrases, and which ones; where a place formats a number it is none."""
 
-MOST_WORDS = {"README.md": 600, "docs/operator.md": 800, "docs/long-term.md": 1200}
+MAX_WORDS = {"README.md": 600, "docs/operator.md": 800, "docs/long-term.md": 1200}
 """Words of pages that are read at one go, code and tables included."""
 
 
@@ -83,16 +83,16 @@ class Spoken:
         return Spoken(self.sentences + other.sentences, self.long + other.long)
 
 
-def spoken(said: Mapping[str, str], code: str) -> str:
+def spoken(texts: Mapping[str, str], code: str) -> str:
     """Return a reason with its longest phrases; numbers and names stay as a place, {}."""
 
-    def phrase(place: re.Match[str]) -> str:
-        codes = NESTED.get(place[1], ())
-        is_phrase = not place[2] and code not in codes
-        phrases = [spoken(said, one) for one in codes if one in said] if is_phrase else []
+    def phrase(match: re.Match[str]) -> str:
+        codes = NESTED.get(match[1], ())
+        is_phrase = not match[2] and code not in codes
+        phrases = [spoken(texts, one) for one in codes if one in texts] if is_phrase else []
         return max(phrases, key=lambda text: len(text.split()), default="{}")
 
-    return re.sub(r"\{(\w+)(:[^}]*)?\}", phrase, said[code])
+    return re.sub(r"\{(\w+)(:[^}]*)?\}", phrase, texts[code])
 
 
 def sentences_of(text: str) -> list[str]:
@@ -102,20 +102,20 @@ def sentences_of(text: str) -> list[str]:
     while bracket := re.search(r"\(([^()]*)\)", parts[0]):
         parts[0] = parts[0].replace(bracket[0], "", 1)
         parts.append(bracket[1])
-    return [one for part in parts for one in re.split(r"(?<=[.!?])\s+|;\s+", part) if _words(one)]
+    return [one for part in parts for one in re.split(r"(?<=[.!?])\s+|;\s+", part) if _words_of(one)]
 
 
-def _words(text: str) -> list[str]:
+def _words_of(text: str) -> list[str]:
     return re.findall(r"[^\W\d_][\w'’.-]*\w|[^\W\d_]", text)
 
 
 def reader_of(kind: str) -> Spoken:
     """Read all texts of a kind."""
     if kind == "reasons":
-        found = [sentences_of(spoken(REASONS, code)) for code in REASONS]
+        sentences_by_code = [sentences_of(spoken(REASONS, code)) for code in REASONS]
     else:
-        found = [[s for s in _sentences(paragraph) if _words(s)] for paragraph in _paragraphs_of(kind)]
-    return sum((_spoken_of(sentences) for sentences in found), Spoken())
+        sentences_by_code = [[s for s in _sentences(paragraph) if _words_of(s)] for paragraph in _paragraphs_of(kind)]
+    return sum((_spoken_of(sentences) for sentences in sentences_by_code), Spoken())
 
 
 def _paragraphs_of(kind: str) -> Iterator[str]:
@@ -123,8 +123,8 @@ def _paragraphs_of(kind: str) -> Iterator[str]:
         yield from _paragraphs(text)
 
 
-def _spoken_of(found: list[str]) -> Spoken:
-    return Spoken(len(found), tuple(one.strip() for one in found if len(_words(one)) > LONG))
+def _spoken_of(sentences: list[str]) -> Spoken:
+    return Spoken(len(sentences), tuple(one.strip() for one in sentences if len(_words_of(one)) > LONG))
 
 
 VERBS = "belongs|does|ends|explains|goes|has|is|its|moves|needs|reads|signs|speaks|stands|this|times|was"
@@ -138,23 +138,23 @@ FROM_ONE = {"step"}
 """Counts that begin at one."""
 
 
-def at_the_borders(said: Mapping[str, str], code: str) -> list[str]:
+def at_the_borders(texts: Mapping[str, str], code: str) -> list[str]:
     """Return what a reason says wrongly where its counts are 0, 1 or 2.
 
     Names of two places or fewer take every pair of counts, those of more one count at once. A place that formats a
     number in another way than a count stays one of a name.
     """
-    text = said[code]
+    text = texts[code]
     names = list(dict.fromkeys(re.findall(r"\{(\w+)(?::\.?0?[gf%]|:\.0[f%])?\}", text)))
     counts = list(product((0, 1, 2), repeat=len(names))) if len(names) <= 2 else [(n,) * len(names) for n in (0, 1, 2)]
     wrong = []
     for of in counts:
         filled = text
         for name, count in zip(names, of, strict=True):
-            least = max(count, 1) if name in FROM_ONE else count
-            filled = re.sub(rf"\{{{name}(:[^}}]*)?\}}", str(least), filled)
+            minimum = max(count, 1) if name in FROM_ONE else count
+            filled = re.sub(rf"\{{{name}(:[^}}]*)?\}}", str(minimum), filled)
         filled = re.sub(r"\{\w+(:[^}]*)?\}", "1.5", filled)
-        wrong += [found[0] for found in (BROKEN.search(filled), PLURAL.search(filled)) if found]
+        wrong += [match[0] for match in (BROKEN.search(filled), PLURAL.search(filled)) if match]
     return wrong
 
 
@@ -182,8 +182,8 @@ def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser
 def _helped(parser: argparse.ArgumentParser) -> Iterable[str]:
     """Yield the description of a command and what it says of each option and of each command below it."""
     below = [a._choices_actions for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
-    said = [
+    texts = [
         parser.description,
         *(action.help for action in [*parser._actions, *(one for group in below for one in group)]),
     ]
-    yield from (text for text in said if text and text != argparse.SUPPRESS)
+    yield from (text for text in texts if text and text != argparse.SUPPRESS)

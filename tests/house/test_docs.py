@@ -19,20 +19,20 @@ def _table(text: str, heading: str) -> list[str]:
 def test_every_environment_variable_is_explained_and_exists():
     explained = set(_table((ROOT / "docs/faq.md").read_text("utf-8"), "Environment variables"))
     # Read by tests and benchmarks alone.
-    used = set(re.findall(r'"(SOFTCAL_[A-Z_]+)"', CODE)) | {"SOFTCAL_DATA"}
-    assert explained == used
+    variables = set(re.findall(r'"(SOFTCAL_[A-Z_]+)"', CODE)) | {"SOFTCAL_DATA"}
+    assert explained == variables
 
 
-def test_every_message_that_the_questions_explain_is_said_somewhere():
+def test_every_message_that_the_questions_explain_exists():
     messages = _table((ROOT / "docs/faq.md").read_text("utf-8"), "When something is refused")
     assert len(messages) >= 4
-    said = re.sub(r'"\s*\n\s*f?"', "", CODE)
+    joined_code = re.sub(r'"\s*\n\s*f?"', "", CODE)
     for message in messages:
         for part in (part.strip(" ,;") for part in message.split("...")):
-            assert part in said, f"{part!r} is said nowhere"
+            assert part in joined_code, f"{part!r} is said nowhere"
 
 
-def test_the_table_of_promises_is_that_of_the_tests():
+def test_the_table_of_claims_is_that_of_the_tests():
     assert promises.PAGE.read_text("utf-8") == promises.page(), "run `make proof`"
 
 
@@ -67,16 +67,16 @@ def test_every_link_leads_to_a_heading_that_is_there():
     assert missing == []
 
 
-SHOWN = [
-    (page, *found)
+INCLUDED_FILES = [
+    (page, *parts)
     for page in DOCS
-    for found in re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    for parts in re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
 ]
 
 
 def test_a_file_that_a_page_shows_is_the_file():
-    other = [(page.name, path) for page, path, shown in SHOWN if (ROOT / path).read_text("utf-8") != shown]
-    assert SHOWN and other == []
+    other = [(page.name, path) for page, path, block in INCLUDED_FILES if (ROOT / path).read_text("utf-8") != block]
+    assert INCLUDED_FILES and other == []
 
 
 RECORDS = sorted((ROOT / "docs/decisions").glob("*.md"))
@@ -100,8 +100,8 @@ def _cells(line: str) -> list[str]:
 
 def _is_part_of(cells: list[str], row: list[str]) -> bool:
     """Whether cells stand in a row in this order; others may stand between them."""
-    left = iter(row)
-    return all(cell in left for cell in cells)
+    remaining = iter(row)
+    return all(cell in remaining for cell in cells)
 
 
 TABLES = [
@@ -131,12 +131,12 @@ def test_what_a_benchmark_printed_names_a_benchmark_that_is_there():
 
 
 def test_the_rule_of_release_stands_once():
-    told = [
+    pages = [
         page.name for page in DOCS if re.search(r"no unit passes on a forecast alone", page.read_text("utf-8"), re.I)
     ]
     bare = [
         name
-        for name in told
+        for name in pages
         if "trust.md#the-rule-of-release" not in next(p for p in DOCS if p.name == name).read_text("utf-8")
     ]
     assert bare == ["trust.md"], "the rule stands in trust.md; other pages link to it"

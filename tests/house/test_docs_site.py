@@ -24,9 +24,9 @@ def test_the_site_builds_without_a_warning_and_shows_the_reference(tmp_path: Pat
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").replace("build/source", str(links.parent))
     (tmp_path / "mkdocs.yml").write_text(settings.replace("docs_dir: docs", f"docs_dir: {ROOT / 'docs'}"))
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "WARNING -" not in done.stderr
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    assert "WARNING -" not in process.stderr
     reference = (tmp_path / "site" / "api" / "index.html").read_text(encoding="utf-8")
     for name in set(softcal.__all__) - {"__version__"}:
         assert re.search(rf'id="softcal\.[\w.]*\.{name}"', reference), name

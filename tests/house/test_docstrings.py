@@ -54,7 +54,7 @@ def test_the_first_line_of_a_docstring_is_a_sentence(modules: Modules) -> None:
 
 def test_physical_numbers_carry_their_unit(modules: Modules) -> None:
     bare = {"time", "force", "position", "speed", "duration", "timeout", "rate", "frequency", "voltage", "resistance"}
-    found = [
+    missing = [
         f"{path}:{argument.lineno} {argument.arg}"
         for path, module in modules.items()
         for function in ast.walk(module)
@@ -62,4 +62,4 @@ def test_physical_numbers_carry_their_unit(modules: Modules) -> None:
         for argument in function.args.args
         if argument.arg in bare
     ]
-    assert not found
+    assert not missing

@@ -42,22 +42,22 @@ def _prose(page: str) -> str:
     return re.sub(r"^    .*$", "", text, flags=re.MULTILINE)
 
 
-def _said(section: str) -> str:
+def _visible_prose(section: str) -> str:
     text = re.sub(r"<!--.*?-->|`[^`]*`|\]\([^)]*\)", "", section)
     return GOAL.sub("", text)
 
 
 def _sections(page: str) -> Iterator[tuple[str, list[str]]]:
     """Yield each section of a page with what the benchmarks that it names printed, or the page where it names none."""
-    of_page = _named(page)
+    of_page = _printed_names(page)
     for section in re.split(r"^(?=#{2,3} )", page, flags=re.MULTILINE):
-        yield _said(section), [PRINTED[name] for name in _named(section) or of_page]
+        yield _visible_prose(section), [PRINTED[name] for name in _printed_names(section) or of_page]
 
 
-def _named(text: str) -> list[str]:
+def _printed_names(text: str) -> list[str]:
     """Return what is named: `benchmarks/registry.py list` printed registry_list, `benchmarks/gap.py --cases 5` gap."""
-    named = set(re.findall(r"printed: (\w+)|`softcal (demo)`", text))
-    names = {name for pair in named for name in pair}
+    printed_names = set(re.findall(r"printed: (\w+)|`softcal (demo)`", text))
+    names = {name for pair in printed_names for name in pair}
     for file, word in re.findall(r"benchmarks/(\w+)\.py(?: (?:--)?(\w+))?", text):
         names.add(f"{file}_{word}" if f"{file}_{word}" in PRINTED else file)
     return sorted(names & PRINTED.keys())
@@ -67,15 +67,15 @@ def _numbers(text: str) -> set[str]:
     return {number.replace(",", "") for number in re.findall(rf"(?<![\w.]){NUMBER}", text)}
 
 
-def _stands(number: str, unit: str, printed: list[str]) -> bool:
+def _is_printed(number: str, unit: str, printed: list[str]) -> bool:
     """Whether a number was printed: as it stands, or with more digits where it has three itself or is a percentage."""
     digits = number.replace(",", "")
     numbers = {float(one) for text in printed for one in _numbers(text)}
     if unit.strip() == "%":
         numbers |= {100 * one for one in numbers}
-    places = len(digits.partition(".")[2])
+    decimals = len(digits.partition(".")[2])
     is_rounded = unit.strip() == "%" or len(digits.replace(".", "").lstrip("0")) >= 3
-    return float(digits) in numbers or (is_rounded and float(digits) in {round(one, places) for one in numbers})
+    return float(digits) in numbers or (is_rounded and float(digits) in {round(one, decimals) for one in numbers})
 
 
 def _stand_together(first: str, second: str, printed: list[str]) -> bool:
@@ -86,16 +86,16 @@ def _stand_together(first: str, second: str, printed: list[str]) -> bool:
 
 def _unprinted(name: str, page: str) -> list[str]:
     """Return the figures of a page that nothing printed."""
-    settings, found = set(SETTINGS[name].split()), []
-    for said, printed in _sections(_prose(page)):
-        pairs = list(PAIR.finditer(said))
-        found += [p[0] for p in pairs if p[0] not in settings and not _stand_together(p[1], p[2], printed)]
-        for figure in FIGURE.finditer(PAIR.sub("", said)):
+    settings, unprinted = set(SETTINGS[name].split()), []
+    for prose, printed in _sections(_prose(page)):
+        pairs = list(PAIR.finditer(prose))
+        unprinted += [p[0] for p in pairs if p[0] not in settings and not _stand_together(p[1], p[2], printed)]
+        for figure in FIGURE.finditer(PAIR.sub("", prose)):
             number, unit = figure[1], figure[2] or ""
             is_figure = unit or "." in number or "," in number or len(number) >= 3
-            if is_figure and number not in settings and not _stands(number, unit, printed):
-                found.append(figure[0])
-    return found
+            if is_figure and number not in settings and not _is_printed(number, unit, printed):
+                unprinted.append(figure[0])
+    return unprinted
 
 
 @pytest.mark.parametrize("name", sorted(SETTINGS))
@@ -109,8 +109,8 @@ def test_every_setting_still_stands_on_its_page(name: str) -> None:
     assert [number for number in SETTINGS[name].split() if not re.search(rf"(?<![\w.]){re.escape(number)}", page)] == []
 
 
-@pytest.mark.parametrize(("said", "other"), [("1.262", "1.263"), ("8.3 %", "8.4 %"), ("13 of 13", "11 of 13")])
-def test_a_figure_that_nobody_printed_is_found(said: str, other: str) -> None:
+@pytest.mark.parametrize(("prose", "other"), [("1.262", "1.263"), ("8.3 %", "8.4 %"), ("13 of 13", "11 of 13")])
+def test_a_figure_that_nobody_printed_is_found(prose: str, other: str) -> None:
     page = "## Any\n\n`python benchmarks/maps_egain.py`, `python benchmarks/trust.py`: {}.\n"
-    assert _unprinted("results", page.format(said)) == []
+    assert _unprinted("results", page.format(prose)) == []
     assert _unprinted("results", page.format(other)) == [other]

@@ -18,7 +18,7 @@ TESTS = set(re.findall(r"def (test_\w+)", "\n".join(path.read_text() for path in
 NAMES = [fault.name for fault in FAULTS]
 
 
-def is_known(name: str) -> bool:
+def exists(name: str) -> bool:
     if name.startswith("test_"):
         return name in TESTS
     if ".py" in name:
@@ -32,7 +32,7 @@ def test_each_hazard_has_cause_detection_reaction_and_a_test_that_exists() -> No
         cause, detection, reaction, test = row
         assert cause and detection and reaction, row
         names = re.findall(r"`([^`]+)`", test)
-        assert names and [name for name in names if not is_known(name)] == [], row
+        assert names and [name for name in names if not exists(name)] == [], row
 
 
 def test_every_kind_of_drawn_fault_has_its_share_on_the_page() -> None:
@@ -40,6 +40,6 @@ def test_every_kind_of_drawn_fault_has_its_share_on_the_page() -> None:
 
 
 def test_each_fault_of_the_matrix_stands_in_the_hazard_table() -> None:
-    named = [name for row in ROWS for name in re.findall(r"`([^`]+)`", row[3]) if "test" not in name]
-    patterns = [".*".join(re.escape(part.strip()) for part in name.split("…")) for name in named]
+    fault_names = [name for row in ROWS for name in re.findall(r"`([^`]+)`", row[3]) if "test" not in name]
+    patterns = [".*".join(re.escape(part.strip()) for part in name.split("…")) for name in fault_names]
     assert [fault for fault in NAMES if not any(re.fullmatch(pattern, fault) for pattern in patterns)] == []

@@ -55,9 +55,9 @@ def _built(kind: str, tree: Path) -> Path:
     out = tree.parent / f"{kind}-out"
     out.mkdir()
     code = f"from setuptools import build_meta; print(build_meta.build_{kind}({str(out)!r}))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=tree, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return out / done.stdout.split()[-1]
+    process = subprocess.run([sys.executable, "-c", code], cwd=tree, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    return out / process.stdout.split()[-1]
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +69,10 @@ def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in _core_distributions(wheel):
         _link(importlib.metadata.distribution(name), packages)
     pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python")]
-    done = subprocess.run(
+    process = subprocess.run(
         [*pip, "install", "--quiet", "--no-index", "--no-deps", str(wheel)], capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     return folder / "bin"
 
 
@@ -82,20 +82,23 @@ def _core_distributions(wheel: Path) -> set[str]:
         name = next(n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
         lines = archive.read(name).decode().splitlines()
     waiting = [(line.removeprefix("Requires-Dist: "), "") for line in lines if line.startswith("Requires-Dist: ")]
-    found: set[str] = set()
+    distributions: set[str] = set()
     while waiting:
         text, extra = waiting.pop()
         requirement = Requirement(text)
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
             continue
-        wanted = importlib.metadata.requires(requirement.name) or []
-        if (name := _plain(text)) not in found:
-            found.add(name)
-            waiting += [(inner, "") for inner in wanted]
+        requirements = importlib.metadata.requires(requirement.name) or []
+        if (name := _plain(text)) not in distributions:
+            distributions.add(name)
+            waiting += [(inner, "") for inner in requirements]
         waiting += [
-            (inner, e) for e in requirement.extras for inner in wanted if f"extra == '{e}'" in inner.replace('"', "'")
+            (inner, e)
+            for e in requirement.extras
+            for inner in requirements
+            if f"extra == '{e}'" in inner.replace('"', "'")
         ]
-    return found
+    return distributions
 
 
 def _link(distribution: importlib.metadata.Distribution, packages: Path) -> None:
@@ -120,8 +123,8 @@ def calibrated(bare: Path, tmp_path_factory: pytest.TempPathFactory, press_unit)
     for k in range(3):
         press_unit(1500, 1 + 0.15 * k, 0.5 + 0.04 * k, k + 1).to_csv(folder / f"S{k}.csv", index=False)
     columns = ("--reference-column", "reference", "--sample-rate", "50")
-    made = _run(bare, folder, "import", *_TABLES, "--source", "S0", *columns, "--audit", "--out", "lot")
-    assert made.returncode == 0, made.stderr
+    process = _run(bare, folder, "import", *_TABLES, "--source", "S0", *columns, "--audit", "--out", "lot")
+    assert process.returncode == 0, process.stderr
     untrained = _run(bare, folder, "batch", "lot", "--hidden", "16,8")
     assert untrained.returncode == 2, untrained.stderr
     assert "pip install 'softcal[train]'" in untrained.stderr.strip().splitlines()[-1]
@@ -148,8 +151,8 @@ def _size_MB(distribution: importlib.metadata.Distribution) -> float:
 
 
 def test_core_alone_estimates(bare: Path, calibrated: Path) -> None:
-    done = _run(bare, calibrated, "estimate", "--serial", "S1", "lot/units/S1.csv", "--out", "estimate.csv")
-    assert done.returncode == 0, done.stderr
+    process = _run(bare, calibrated, "estimate", "--serial", "S1", "lot/units/S1.csv", "--out", "estimate.csv")
+    assert process.returncode == 0, process.stderr
     rows = np.genfromtxt(calibrated / "estimate.csv", delimiter=",", names=True, usecols=(0, 1, 2, 3))
     reference = np.genfromtxt(calibrated / "S1.csv", delimiter=",", names=True)["reference"]
     error = (rows["estimate"] - reference)[15:]
@@ -157,8 +160,8 @@ def test_core_alone_estimates(bare: Path, calibrated: Path) -> None:
 
 
 def test_core_alone_exports_what_the_estimate_used(bare: Path, calibrated: Path) -> None:
-    done = _run(bare, calibrated, "export", "--serial", "S1", "--format", "json", "--out", "out", "--failed-too")
-    assert done.returncode == 0, done.stderr
+    process = _run(bare, calibrated, "export", "--serial", "S1", "--format", "json", "--out", "out", "--failed-too")
+    assert process.returncode == 0, process.stderr
     assert list((calibrated / "out").rglob("unit-S1*.json"))
 
 
@@ -176,15 +179,15 @@ def test_core_alone_exports_what_the_estimate_used(bare: Path, calibrated: Path)
 def test_a_missing_extra_is_one_line_that_says_what_to_install(
     bare: Path, calibrated: Path, arguments: tuple[str, ...], extra: str
 ) -> None:
-    done = _run(bare, calibrated, *arguments)
-    assert done.returncode in (2, 4), done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert f"pip install 'softcal[{extra}]'" in done.stderr
+    process = _run(bare, calibrated, *arguments)
+    assert process.returncode in (2, 4), process.stderr
+    assert len(process.stderr.strip().splitlines()) == 1, process.stderr
+    assert f"pip install 'softcal[{extra}]'" in process.stderr
 
 
 def _files_of(root: Path) -> list[str]:
     files = (path.relative_to(root) for path in root.rglob("*") if path.is_file())
-    return [p.as_posix() for p in files if not any(fnmatch(part, left) for part in p.parts for left in LEFT_OUT)]
+    return [p.as_posix() for p in files if not any(fnmatch(part, module) for part in p.parts for module in LEFT_OUT)]
 
 
 def test_the_sdist_holds_what_a_packager_needs(sdist: Path) -> None:
@@ -223,13 +226,13 @@ def test_every_optional_library_is_named_with_its_extra() -> None:
 
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     of_tasks = {name: group for name, group in groups.items() if name not in ("all", "docs", "dev")}
-    told = {name: {_plain(r) for r in group} - {"softcal"} for name, group in of_tasks.items()}
+    documented = {name: {_plain(r) for r in group} - {"softcal"} for name, group in of_tasks.items()}
     installed = importlib.metadata.packages_distributions()
-    brought = {module: {_plain(d) for d in installed.get(module, [])} for module in EXTRA_OF}
+    provided = {module: {_plain(d) for d in installed.get(module, [])} for module in EXTRA_OF}
     for module, extra in EXTRA_OF.items():
-        assert brought[module] & told[extra], f"{module}: {brought[module]} is not in extra {extra}"
-    known = set().union(*brought.values())
-    assert {name for group in told.values() for name in group} <= known
+        assert provided[module] & documented[extra], f"{module}: {provided[module]} is not in extra {extra}"
+    all_provided = set().union(*provided.values())
+    assert {name for group in documented.values() for name in group} <= all_provided
 
 
 def _plain(requirement: str) -> str:

@@ -14,7 +14,7 @@ from softcal.core.settings import origins
 from softcal.core.unit.method import Method
 
 CORE = Path(__file__).parents[2] / "core"
-ROOMS = ("unit", "maps", "operation")
+PACKAGES = ("unit", "maps", "operation")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
     "core/unit/audit.py": {"INSTANTS"},  # instants of the stored reading
@@ -23,9 +23,9 @@ NO_DECISION = {
     "core/unit/line_spread.py": {"MAX_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
-    "core/maps/paired.py": {"MIN_WINDOWS"},  # what is refused
+    "core/maps/paired.py": {"MIN_WINDOWS", "DAMPING", "SETTLED", "IDLE_STEPS"},  # what is refused, and of a solver
     "core/maps/plan.py": {"MAX_WINDOWS", "MAX_JOINT_WINDOWS", "MAX_JOINT_ROUNDS", "NEIGHBOURS", "RIDGE_PER_WINDOW"},
-    "core/maps/readout_lag.py": {"AVERAGED"},  # noise is averaged away
+    "core/maps/readout_lag.py": {"MEAN_SAMPLES"},  # noise is averaged away
     "core/maps/crossing.py": {"CACHED"},  # entries of a cache
     "core/maps/synchrony.py": {"NONE", "LONGEST_LAG_s"},  # zeros, and where a search ends
     "core/operation/adapter.py": {"STATE_FORMAT"},  # of the stored state
@@ -42,7 +42,7 @@ NO_DECISION = {
     "core/gap/hypothesis.py": {"DIFFERENCE", "BASE"},  # of a solver, and the base's bounds
     "core/gap/linear.py": {"COMMON_STEP_s"},  # of the common rig
     "core/gap/mistakes.py": {"UNITS_OF_RUN", "TIME_UNITS", "UNITS"},  # units
-    "core/gap/places.py": {"TIED"},  # rounding
+    "core/gap/fault_location.py": {"TIED"},  # rounding
     "core/gap/model.py": {"PASSES", "LINEAR_SIGMA"},  # of a solver
     "core/gap/residual.py": {"TRIMMED"},  # of an estimator
     "core/gap/search.py": {"MIN_GAIN_SHARE", "GENTLER"},  # where a fit begins
@@ -172,21 +172,21 @@ def literals(path: Path) -> Iterator[tuple[str, int]]:
                     yield f"{value:.15g}", part.lineno
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_no_function_holds_a_number_that_decides(room: str) -> None:
-    found = []
-    for path in sorted((CORE / room).glob("*.py")):
-        place = path.relative_to(CORE.parent).as_posix()
-        if place in DECIDES_ABOUT_NO_UNIT:
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_function_holds_a_number_that_decides(package: str) -> None:
+    numbers = []
+    for path in sorted((CORE / package).glob("*.py")):
+        module = path.relative_to(CORE.parent).as_posix()
+        if module in DECIDES_ABOUT_NO_UNIT:
             continue
-        explained = EXPLAINED.get(place, {})
-        found += [f"{place}:{line}: {text}" for text, line in literals(path) if text not in explained]
-    assert not found, "\n".join(found)
+        explained = EXPLAINED.get(module, {})
+        numbers += [f"{module}:{line}: {text}" for text, line in literals(path) if text not in explained]
+    assert not numbers, "\n".join(numbers)
 
 
 def test_explained_numbers_are_there() -> None:
-    for place, explained in EXPLAINED.items():
-        assert set(explained) <= {text for text, _ in literals(CORE.parent / place)}, place
+    for module, explained in EXPLAINED.items():
+        assert set(explained) <= {text for text, _ in literals(CORE.parent / module)}, module
 
 
 RELEASE = ("acceptance", "audit_check", "lot_release", "qualification", "release")
@@ -198,11 +198,11 @@ def test_no_number_of_a_release_by_sample_stands_outside_the_method(module: str)
     assert set(constants(CORE / "quality" / f"{module}.py")) == set()
 
 
-@pytest.mark.parametrize("room", (*ROOMS, "gap"))
-def test_no_module_keeps_a_number_that_decides(room: str) -> None:
-    for path in sorted((CORE / room).glob("*.py")):
-        place = path.relative_to(CORE.parent).as_posix()
-        assert set(constants(path)) <= NO_DECISION.get(place, set()), place
+@pytest.mark.parametrize("package", (*PACKAGES, "gap"))
+def test_no_module_keeps_a_number_that_decides(package: str) -> None:
+    for path in sorted((CORE / package).glob("*.py")):
+        module = path.relative_to(CORE.parent).as_posix()
+        assert set(constants(path)) <= NO_DECISION.get(module, set()), module
 
 
 def changed(config: object) -> Iterator[tuple[str, object]]:
@@ -234,15 +234,15 @@ FORMAT = {"taps", "levels", "confidence"}
 def test_every_number_is_part_of_the_identity() -> None:
     method = Method()
     numbers = {name for name, _, _ in method.numbers()}
-    seen = set()
+    hashes = set()
     for part in ("version", "range_margin"):
         assert replace(method, **{part: getattr(method, part) + 1}).id != method.id
-        seen.add(part)
+        hashes.add(part)
     for section in (one.name for one in fields(method) if is_dataclass(getattr(method, one.name))):
         for name, config in changed(getattr(method, section)):
             assert replace(method, **{section: config}).id != method.id, name
-            seen.add(f"{section}.{name}")
-    assert seen == numbers - FORMAT
+            hashes.add(f"{section}.{name}")
+    assert hashes == numbers - FORMAT
 
 
 def test_numbers_of_the_file_formats_cannot_be_changed() -> None:
@@ -315,7 +315,7 @@ OF_A_RUN = {"core/inspection", "core/gap", "station/record"}
 
 def test_no_module_keeps_a_configuration() -> None:
     """What a module keeps cannot be the numbers of the method that it is called with."""
-    made = [
+    defaults = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in PRODUCT
         if path.parent.relative_to(ROOT).as_posix() not in OF_A_RUN
@@ -324,21 +324,21 @@ def test_no_module_keeps_a_configuration() -> None:
         for part in ast.walk(node.value)
         if isinstance(part, ast.Call) and isinstance(part.func, ast.Name) and part.func.id in NUMBERED
     ]
-    assert made == []
+    assert defaults == []
 
 
 DECIDING = ("quality", "unit")
 
 
-@pytest.mark.parametrize("room", DECIDING)
-def test_no_function_that_decides_has_a_configuration_by_default(room: str) -> None:
+@pytest.mark.parametrize("package", DECIDING)
+def test_no_function_that_decides_has_a_configuration_by_default(package: str) -> None:
     """A caller that leaves a method out would judge by another than the one that is stored."""
-    given = [
+    defaults = [
         f"{path.relative_to(ROOT)}:{function.lineno}: {function.name}"
-        for path in sorted((CORE / room).glob("*.py"))
+        for path in sorted((CORE / package).glob("*.py"))
         for function in ast.walk(ast.parse(path.read_text()))
         if isinstance(function, ast.FunctionDef)
         for default in (*function.args.defaults, *function.args.kw_defaults)
         if isinstance(default, ast.Call) and isinstance(default.func, ast.Name) and default.func.id in NUMBERED
     ]
-    assert given == []
+    assert defaults == []

@@ -21,8 +21,8 @@ def _project() -> dict:
 
 
 def test_every_folder_with_modules_is_packaged(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: dict = {}
-    monkeypatch.setattr(setuptools, "setup", lambda **given: asked.update(given))
+    setup_arguments: dict = {}
+    monkeypatch.setattr(setuptools, "setup", lambda **given: setup_arguments.update(given))
     monkeypatch.chdir(ROOT)
     runpy.run_path("setup.py")
     on_disk = {
@@ -31,7 +31,7 @@ def test_every_folder_with_modules_is_packaged(monkeypatch: pytest.MonkeyPatch) 
         for folder in [ROOT / top, *(ROOT / top).rglob("*")]
         if folder.is_dir() and any(folder.glob("*.py"))
     }
-    assert on_disk - {"softcal.app.public"} | {"softcal"} == set(asked["packages"])
+    assert on_disk - {"softcal.app.public"} | {"softcal"} == set(setup_arguments["packages"])
 
 
 def test_no_module_beside_the_page_script_has_the_name_of_a_library() -> None:
@@ -44,8 +44,8 @@ def test_no_module_beside_the_page_script_has_the_name_of_a_library() -> None:
 def test_every_dependency_is_locked_with_its_hashes() -> None:
     project = _project()["project"]
     locked = {package["name"]: package for package in tomllib.loads((ROOT / "uv.lock").read_text())["package"]}
-    asked = [project["dependencies"], *project["optional-dependencies"].values()]
-    assert {_name(requirement) for group in asked for requirement in group} <= locked.keys()
+    requirements = [project["dependencies"], *project["optional-dependencies"].values()]
+    assert {_name(requirement) for group in requirements for requirement in group} <= locked.keys()
     bare = [name for name, package in locked.items() if not _files(package) and name != "softcal"]
     assert bare == []
     assert [name for name in locked if name.startswith(("nvidia", "cuda", "triton"))] == []

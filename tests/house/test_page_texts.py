@@ -61,30 +61,30 @@ AT_A_TERMINAL = {
 def _spoken(file: Path) -> list[str]:
     """Return the sentences of a file: constants of what is raised, returned or given to a reason."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
-    places = [node for node in ast.walk(tree) if isinstance(node, ast.Raise | ast.Return | ast.Assign)]
-    found = [leaf for place in places for leaf in ast.walk(place) if isinstance(leaf, ast.Constant)]
-    return [str(leaf.value) for leaf in found if isinstance(leaf.value, str)]
+    statements = [node for node in ast.walk(tree) if isinstance(node, ast.Raise | ast.Return | ast.Assign)]
+    texts = [leaf for statement in statements for leaf in ast.walk(statement) if isinstance(leaf, ast.Constant)]
+    return [str(leaf.value) for leaf in texts if isinstance(leaf.value, str)]
 
 
 @cache
 def _files() -> dict[str, list[str]]:
-    files = (file for room in ("app", "core", "db") for file in sorted((ROOT / room).rglob("*.py")))
-    found = {str(file.relative_to(ROOT)): [s for s in _spoken(file) if COMMAND.search(s)] for file in files}
-    return {name: said for name, said in found.items() if said}
+    files = (file for package in ("app", "core", "db") for file in sorted((ROOT / package).rglob("*.py")))
+    texts_by_file = {str(file.relative_to(ROOT)): [s for s in _spoken(file) if COMMAND.search(s)] for file in files}
+    return {name: texts for name, texts in texts_by_file.items() if texts}
 
 
-def _place(name: str) -> str | None:
-    return next((place for place in AT_A_TERMINAL if name == place or name.startswith(f"{place}/")), None)
+def _terminal_folder(name: str) -> str | None:
+    return next((folder for folder in AT_A_TERMINAL if name == folder or name.startswith(f"{folder}/")), None)
 
 
 def test_no_use_case_behind_a_page_names_a_command() -> None:
-    assert {name: said for name, said in _files().items() if _place(name) is None} == {}
+    assert {name: texts for name, texts in _files().items() if _terminal_folder(name) is None} == {}
 
 
 def test_every_exception_is_still_one() -> None:
-    assert set(AT_A_TERMINAL) - {_place(name) for name in _files()} <= set()
+    assert set(AT_A_TERMINAL) - {_terminal_folder(name) for name in _files()} <= set()
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_no_text_of_a_page_names_a_command(language: str) -> None:
-    assert {key: said for key, said in catalogue()[language].items() if COMMAND.search(said)} == {}
+    assert {key: texts for key, texts in catalogue()[language].items() if COMMAND.search(texts)} == {}

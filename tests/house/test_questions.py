@@ -17,12 +17,14 @@ def _flat(text: str) -> str:
 
 
 def test_every_page_is_asked_three_questions() -> None:
-    assert {page: len(asked) for page, asked in QUESTIONS.items()} == dict.fromkeys(PAGES, 3)
+    assert {page: len(questions) for page, questions in QUESTIONS.items()} == dict.fromkeys(PAGES, 3)
 
 
 @pytest.mark.parametrize("page", sorted(QUESTIONS))
 def test_each_answer_stands_in_its_page_once(page: str) -> None:
     text = _flat((ROOT / page).read_text("utf-8"))
     assert {
-        question: text.count(_flat(said)) for question, said in QUESTIONS[page].items() if text.count(said) != 1
+        question: text.count(_flat(sentence))
+        for question, sentence in QUESTIONS[page].items()
+        if text.count(sentence) != 1
     } == {}

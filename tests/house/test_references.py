@@ -30,38 +30,38 @@ EVENTS = {"softcal.alert.raised", "softcal.alert.cleared"}
 class Module:
     """What a module says about itself, what it defines or imports, and every name it uses."""
 
-    said: list[str] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
     defined: set[str] = field(default_factory=set)
-    used: set[str] = field(default_factory=set)
+    names_used: set[str] = field(default_factory=set)
 
 
 @cache
 def _read(path: Path) -> Module:
-    found = Module()
+    module = Module()
     text = path.read_text("utf-8")
     if "#" in text:
         tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-        found.said += [token.string for token in tokens if token.type == tokenize.COMMENT]
+        module.texts += [token.string for token in tokens if token.type == tokenize.COMMENT]
     for node in ast.walk(ast.parse(text)):
         match node:
             case ast.Expr(value=ast.Constant(value=str(text))):
-                found.said.append(text)
+                module.texts.append(text)
             case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
-                found.defined.add(name)
+                module.defined.add(name)
             case ast.Name(id=name):
-                (found.defined if isinstance(node.ctx, ast.Store) else found.used).add(name)
+                (module.defined if isinstance(node.ctx, ast.Store) else module.names_used).add(name)
             case ast.Attribute(attr=name) | ast.arg(arg=name):
-                found.used.add(name)
+                module.names_used.add(name)
             case ast.alias(name=name, asname=asname):
-                found.defined.add((asname or name).split(".")[-1])
-    return found
+                module.defined.add((asname or name).split(".")[-1])
+    return module
 
 
 @cache
-def _said() -> tuple[tuple[str, str], ...]:
+def _texts() -> tuple[tuple[str, str], ...]:
     """Return each page, docstring and comment of the product with where it stands."""
     pages = [(page.name, page.read_text("utf-8")) for page in PAGES]
-    return (*pages, *((p.relative_to(ROOT).as_posix(), text) for p in CODE for text in _read(p).said))
+    return (*pages, *((p.relative_to(ROOT).as_posix(), text) for p in CODE for text in _read(p).texts))
 
 
 def _quoted(text: str) -> list[str]:
@@ -70,7 +70,7 @@ def _quoted(text: str) -> list[str]:
 
 def test_every_file_that_is_named_exists() -> None:
     name = re.compile(rf"(?<![\w./-])((?:{HOMES})/[a-z0-9_./-]*[a-z0-9_-]\.(?:py|md|c|h|cpp|ino|toml|yaml|service))\b")
-    missing = [(where, one) for where, text in _said() for one in name.findall(text) if not (ROOT / one).exists()]
+    missing = [(where, one) for where, text in _texts() for one in name.findall(text) if not (ROOT / one).exists()]
     assert missing == []
 
 
@@ -78,35 +78,39 @@ def test_every_python_file_that_is_named_alone_exists() -> None:
     there = {path.name for folder in HOMES.split("|") for path in (ROOT / folder).rglob("*.py")}
     there |= {path.name for path in ROOT.glob("*.py")}
     name = re.compile(r"(?<![\w./-])([a-z_]\w*\.py)\b")
-    made = {one for _, text in _said() for one in re.findall(r"(?:^`|--out )(\w+\.py)", text, re.MULTILINE)}
-    assert [(where, one) for where, text in _said() for one in name.findall(text) if one not in there | made] == []
+    script_names = {one for _, text in _texts() for one in re.findall(r"(?:^`|--out )(\w+\.py)", text, re.MULTILINE)}
+    assert [
+        (where, one) for where, text in _texts() for one in name.findall(text) if one not in there | script_names
+    ] == []
 
 
 @cache
 def _modules() -> dict[str, list[Path]]:
     """Return the modules and packages of softcal by their own name."""
-    found: dict[str, list[Path]] = defaultdict(list)
+    modules: dict[str, list[Path]] = defaultdict(list)
     for folder in FOLDERS:
-        found[folder].append(ROOT / folder)
+        modules[folder].append(ROOT / folder)
         for path in (ROOT / folder).rglob("*"):
             if path.suffix == ".py" and path.name != "__init__.py":
-                found[path.stem].append(path)
+                modules[path.stem].append(path)
             elif (path / "__init__.py").is_file():
-                found[path.name].append(path)
-    return found
+                modules[path.name].append(path)
+    return modules
 
 
 def _holds(home: Path, name: str) -> bool:
     """Whether a module defines or uses a name, or a package has a module of that name."""
     if home.is_dir():
-        own = home / "__init__.py"
-        return any(child.stem == name for child in home.iterdir()) or (own.is_file() and _holds(own, name))
-    return name in _read(home).defined | _read(home).used
+        package_file = home / "__init__.py"
+        return any(child.stem == name for child in home.iterdir()) or (
+            package_file.is_file() and _holds(package_file, name)
+        )
+    return name in _read(home).defined | _read(home).names_used
 
 
 @cache
 def _spoken() -> frozenset[str]:
-    return frozenset(name for path in CODE for name in _read(path).used | _read(path).defined)
+    return frozenset(name for path in CODE for name in _read(path).names_used | _read(path).defined)
 
 
 def _is_there(name: str) -> bool:
@@ -120,14 +124,14 @@ def _is_there(name: str) -> bool:
     ):
         return True
     return any(
-        path.read_text("utf-8").count(name) > sum(text.count(name) for text in _read(path).said) for path in CODE
+        path.read_text("utf-8").count(name) > sum(text.count(name) for text in _read(path).texts) for path in CODE
     )
 
 
 def test_every_module_that_is_named_exists() -> None:
     missing = [
         (where, name)
-        for where, text in _said()
+        for where, text in _texts()
         for name in (quoted.removesuffix("()") for quoted in _quoted(text))
         if re.fullmatch(r"[a-z_]+(?:\.[A-Za-z]*[a-z_]+)+", name)
         and name.rpartition(".")[2] not in FILES.split("|")
@@ -144,30 +148,32 @@ def _parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParse
 
 
 def test_every_option_that_is_named_exists() -> None:
-    known = {option for parser in _parsers(command_parser()) for option in parser._option_string_actions}
-    known |= {o for path in CODE for o in re.findall(r'"(--[a-z][\w-]*)"', path.read_text("utf-8"))} | OF_OTHER_PROGRAMS
+    options = {option for parser in _parsers(command_parser()) for option in parser._option_string_actions}
+    options |= {
+        o for path in CODE for o in re.findall(r'"(--[a-z][\w-]*)"', path.read_text("utf-8"))
+    } | OF_OTHER_PROGRAMS
     missing = [
         (where, option)
-        for where, text in _said()
+        for where, text in _texts()
         for quoted in _quoted(text)
         if quoted.startswith("--")
         for option in re.findall(r"(?<!\S)--[a-z][\w=-]*", quoted)
-        if option not in known and option.partition("=")[0] not in known
+        if option not in options and option.partition("=")[0] not in options
     ]
     assert missing == []
 
 
 def test_every_command_that_is_named_exists_and_takes_the_options_said() -> None:
     unknown, whole = [], command_parser()
-    for where, text in _said():
+    for where, text in _texts():
         for quoted in re.findall(r"`softcal ([a-z][^`]*)`", text):
-            parser, words = whole, quoted.split()
-            while words and (below := _below(parser)) and words[0] in below:
-                parser = below[words.pop(0)]
-            known = {option for one in _parsers(parser) for option in one._option_string_actions}
-            options = {word.partition("=")[0] for word in words if word.startswith("--")}
-            is_unknown = bool(_below(parser) and words and re.fullmatch(r"[a-z-]+", words[0]))
-            if parser is whole or is_unknown or not options <= known:
+            parser, arguments = whole, quoted.split()
+            while arguments and (below := _below(parser)) and arguments[0] in below:
+                parser = below[arguments.pop(0)]
+            known_options = {option for one in _parsers(parser) for option in one._option_string_actions}
+            options = {word.partition("=")[0] for word in arguments if word.startswith("--")}
+            is_unknown = bool(_below(parser) and arguments and re.fullmatch(r"[a-z-]+", arguments[0]))
+            if parser is whole or is_unknown or not options <= known_options:
                 unknown.append((where, quoted))
     assert unknown == []
 

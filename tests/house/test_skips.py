@@ -22,9 +22,9 @@ def test_a_missing_program_is_counted_in_one_line_and_a_failure_in_ci(
 ) -> None:
     bare = {name: value for name, value in os.environ.items() if name != "CI"} | {"PATH": str(tmp_path)} | environment
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", NEEDS_A_PROGRAM]
-    done = subprocess.run(command, cwd=ROOT, env=bare, capture_output=True, text=True)
-    assert done.returncode == code, done.stdout
-    counted = [line for line in done.stdout.splitlines() if line.startswith("NOT PROVEN HERE")]
+    process = subprocess.run(command, cwd=ROOT, env=bare, capture_output=True, text=True)
+    assert process.returncode == code, process.stdout
+    counted = [line for line in process.stdout.splitlines() if line.startswith("NOT PROVEN HERE")]
     if code == 0:
         (line,) = counted
         assert "skipped 1," in line and PACKAGES["objcopy"] in line

@@ -24,18 +24,20 @@ def rig():
 @pytest.mark.parametrize("weight_N", [0.0, 0.5, 2.0])
 def test_a_weight_is_read_while_nothing_moves(rig, weight_N):
     bench, station = rig
-    before_mm, told, seen = station.axis.position_mm, [], []
-    bench.stage.begin = told.append
-    bench.stage.home = lambda *_: told.append("home")
+    before_mm, reports, readings = station.axis.position_mm, [], []
+    bench.stage.begin = reports.append
+    bench.stage.home = lambda *_: reports.append("home")
     station.rig.weight_N = weight_N
-    reading = read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda done, left: seen.append((done, left)))
+    reading = read_at_rest(
+        bench, "A1", SETTLE_S, READING_S, lambda fractions, remaining_s: readings.append((fractions, remaining_s))
+    )
     bears_N = np.mean([station.rig.read(station.world.now_s() + k * 0.02)[0] for k in range(20)])
-    assert (told, station.axis.position_mm) == ([], before_mm)
+    assert (reports, station.axis.position_mm) == ([], before_mm)
     assert bears_N == pytest.approx(weight_N, abs=0.05), "the unit does not bear the weight"
     assert len(reading.output) == pytest.approx(READING_S * bench.readout.rate_Hz, rel=0.1)
     assert np.std(reading.output) < 0.01 and reading.output_unit == bench.readout.unit
-    done, left = zip(*seen, strict=True)
-    assert list(done) == sorted(done) and list(left) == sorted(left, reverse=True)
+    fractions, remaining_s = zip(*readings, strict=True)
+    assert list(fractions) == sorted(fractions) and list(remaining_s) == sorted(remaining_s, reverse=True)
 
 
 def test_heavier_is_further_from_the_output_without_a_load(rig):

@@ -136,9 +136,9 @@ def test_a_board_that_goes_out_of_reach_ends_the_readings(bleak):
 def test_softcal_calls_bleak_as_bleak_is():
     bleak = pytest.importorskip("bleak")
     for name in ("__init__", "connect", "start_notify", "write_gatt_char", "disconnect"):
-        own = inspect.signature(getattr(SimulatedBleak.BleakClient, name)).parameters
+        simulated_parameters = inspect.signature(getattr(SimulatedBleak.BleakClient, name)).parameters
         real = inspect.signature(getattr(bleak.BleakClient, name)).parameters
-        assert [key for key in own if key not in real] == [], name
+        assert [key for key in simulated_parameters if key not in real] == [], name
     from bleak.uuids import uuidstr_to_str
 
     assert (uuidstr_to_str(NOTIFY_UUID), uuidstr_to_str(WRITE_UUID)) == ("Nordic UART TX", "Nordic UART RX")

@@ -11,7 +11,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.station.bench import catalogue
-from softcal.station.bench.catalogue import SECTIONS, driver_of, offers
+from softcal.station.bench.catalogue import SECTIONS, driver_of, list_drivers
 from softcal.station.bench.station_file import station_from_table, station_toml
 from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig
 from softcal.station.devices.driver import Driver
@@ -62,7 +62,7 @@ DRIVER = replace(DRIVERS[0], kind="ours", config=Config)
 
 
 def test_every_shipped_driver_is_listed_with_its_origin():
-    listed = {(offer.role, offer.kind): offer for offer in offers()}
+    listed = {(offer.role, offer.kind): offer for offer in list_drivers()}
     assert {("stage", "grbl"), ("stage", "zaber"), ("stage", "esm"), ("readout", "arduino")} <= set(listed)
     assert {("cell", kind) for kind in ("hx711", "mark10", "indicator", "loadstar", "esm")} <= set(listed)
     assert all(offer.package == "softcal" and offer.version != "unknown" for offer in listed.values())
@@ -82,13 +82,13 @@ def test_every_shipped_driver_is_listed_with_its_origin():
 def test_what_opens_devices_names_no_driver(module):
     # The default kind of a section stands in config.py, and nowhere else.
     text = (ROOT / "station" / f"{module}.py").read_text()
-    assert [offer.kind for offer in offers() if f'"{offer.kind}"' in text] == []
+    assert [offer.kind for offer in list_drivers() if f'"{offer.kind}"' in text] == []
     assert "softcal.station.drivers." not in text
 
 
 def test_a_driver_of_an_installed_package_is_used_like_a_shipped_one(installed):
     installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", GOOD)
-    (offer,) = [offer for offer in offers() if offer.kind == "ours"]
+    (offer,) = [offer for offer in list_drivers() if offer.kind == "ours"]
     assert (offer.package, offer.version, offer.fault) == ("lab_ours", "1.2", "")
     config = station_from_table(
         {"stage": {"port": "a"}, "force": {"port": "f"}, "readout": {"port": "b", "kind": "ours", "gain": 3}}
@@ -108,7 +108,7 @@ def test_a_driver_of_an_installed_package_is_used_like_a_shipped_one(installed):
 )
 def test_a_broken_package_is_named_and_harms_nobody_else(installed, entry_point, code, fault):
     installed("lab_broken", f"[{entry_point}]\nours = lab_broken:DRIVER\n", code)
-    (offer,) = [offer for offer in offers() if offer.package == "lab_broken"]
+    (offer,) = [offer for offer in list_drivers() if offer.package == "lab_broken"]
     assert fault in offer.fault
     assert driver_of("readout", "arduino").kind == "arduino"
     role = {group: role for role, group in catalogue.GROUPS.items()}[entry_point]
@@ -116,7 +116,7 @@ def test_a_broken_package_is_named_and_harms_nobody_else(installed, entry_point,
         driver_of(role, "ours")
 
 
-OWN_WORDS = GOOD.replace(
+OWN_MESSAGES = GOOD.replace(
     "config=Config)", 'config=Config, messages={"ours.line": "our readout sent {line}; a number was expected"})'
 )
 READ_LATER = """
@@ -133,20 +133,22 @@ print(text("ko", "reason.ours.line", line="'y'"))
 
 
 def test_what_another_package_s_driver_says_is_read_where_the_driver_was_not_loaded(installed, tmp_path):
-    installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", OWN_WORDS)
-    done = subprocess.run([sys.executable, "-c", READ_LATER, str(tmp_path)], capture_output=True, text=True)
-    said = ["our readout sent 'x'; a number was expected", "our readout sent 'y'; a number was expected"]
-    assert done.stdout.splitlines() == said, done.stderr
+    installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", OWN_MESSAGES)
+    process = subprocess.run([sys.executable, "-c", READ_LATER, str(tmp_path)], capture_output=True, text=True)
+    messages = ["our readout sent 'x'; a number was expected", "our readout sent 'y'; a number was expected"]
+    assert process.stdout.splitlines() == messages, process.stderr
 
 
 def test_a_driver_that_says_another_s_code_in_other_words_is_named(installed):
-    installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", OWN_WORDS.replace("ours.line", "stream.line"))
-    (offer,) = [offer for offer in offers() if offer.package == "lab_ours"]
+    installed(
+        "lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", OWN_MESSAGES.replace("ours.line", "stream.line")
+    )
+    (offer,) = [offer for offer in list_drivers() if offer.package == "lab_ours"]
     assert "stream.line" in offer.fault
 
 
 def test_the_sentences_of_every_shipped_driver_belong_to_one():
-    owned = {code for offer in offers() for code in offer.driver.messages}
+    owned = {code for offer in list_drivers() for code in offer.driver.messages}
     assert owned == {code for page in PAGES.values() for code in page}
 
 
@@ -162,7 +164,7 @@ def test_an_unknown_kind_lists_the_known_ones_of_packages_too(installed):
         driver_of("readout", "theirs")
 
 
-@pytest.mark.parametrize("offer", offers(), ids=lambda offer: f"{offer.role} {offer.kind}")
+@pytest.mark.parametrize("offer", list_drivers(), ids=lambda offer: f"{offer.role} {offer.kind}")
 def test_the_section_of_every_driver_survives_its_own_file_and_explains_every_key(offer):
     other = {"stage": {"port": "/dev/a"}, "force": {"port": "/dev/f"}, "readout": {"port": "/dev/b"}}
     section = SECTIONS[offer.role]
@@ -177,7 +179,7 @@ def test_the_section_of_every_driver_survives_its_own_file_and_explains_every_ke
 
 
 @pytest.mark.parametrize(
-    ("table", "code", "facts"),
+    ("table", "code", "message"),
     [
         ({"port": "/dev/a", "axiz": "Z"}, "unknown_key", r"\[stage\].*'axiz'.*port, kind, baud_rate, axis"),
         ({"port": "/dev/a", "axis": "W"}, "known", r"stage\.axis.*X, Y, Z"),
@@ -189,8 +191,8 @@ def test_the_section_of_every_driver_survives_its_own_file_and_explains_every_ke
         ({"port": "/dev/b"}, "same_port", "'/dev/b'"),
     ],
 )
-def test_what_a_driver_does_not_understand_is_refused_with_what_it_does(table, code, facts):
-    with pytest.raises(InputError, match=facts) as refused:
+def test_what_a_driver_does_not_understand_is_refused_with_what_it_does(table, code, message):
+    with pytest.raises(InputError, match=message) as refused:
         station_from_table({"stage": table, "force": {"port": "/dev/f"}, "readout": {"port": "/dev/b"}})
     assert refused.value.reason.code == f"station_file.{code}"
 
@@ -219,7 +221,7 @@ def test_a_declaration_that_is_none_is_refused():
 
 def test_listing_drivers_needs_neither_torch_nor_streamlit_nor_pyvisa():
     code = (
-        "import sys; from softcal.station.bench.catalogue import offers; offers(); "
+        "import sys; from softcal.station.bench.catalogue import list_drivers; list_drivers(); "
         "print([m for m in ('torch', 'streamlit', 'pyvisa', 'softcal.station.bench.simulated_station') "
         "if m in sys.modules])"
     )

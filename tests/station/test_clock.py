@@ -30,8 +30,8 @@ def test_two_devices_meet_within_ten_milliseconds(rng):
     sensor, cell = arrivals(rng, rate=1 - 2e-3), arrivals(rng, rate=1 + 4e-3)
     event_s = 830.0
     for device_s, host_s, rate in ((*sensor, 1 - 2e-3), (*cell, 1 + 4e-3)):
-        seen_s = (event_s - 812.5) / rate
-        assert abs(fit_clock(device_s, host_s).to_host(np.array([seen_s]))[0] - event_s) < 0.01
+        device_event_s = (event_s - 812.5) / rate
+        assert abs(fit_clock(device_s, host_s).to_host(np.array([device_event_s]))[0] - event_s) < 0.01
 
 
 def test_the_fit_lies_under_every_arrival(rng):
@@ -43,8 +43,8 @@ def test_the_fit_lies_under_every_arrival(rng):
 def test_the_rate_of_a_clock_of_whole_milliseconds_is_right_even_when_lines_are_lost(rng, rate_Hz):
     device_s = np.floor(1000 * np.arange(200) / rate_Hz) / 1000
     assert estimate_rate_Hz(device_s) == pytest.approx(rate_Hz, rel=1e-3)
-    kept = device_s[rng.random(200) > 0.1]
-    assert estimate_rate_Hz(kept) == pytest.approx(rate_Hz, rel=0.01)
+    received_s = device_s[rng.random(200) > 0.1]
+    assert estimate_rate_Hz(received_s) == pytest.approx(rate_Hz, rel=0.01)
 
 
 def test_one_pair_is_not_enough():

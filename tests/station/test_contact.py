@@ -18,7 +18,7 @@ from softcal.station.tasks.acquisition import record
 from tests.layers import layered
 
 SEARCHING = "searching for contact"
-TOUCH = ramps([0.5], 4.0, rest_s=0.1)
+FIRST_APPROACH = ramps([0.5], 4.0, rest_s=0.1)
 
 
 @pytest.mark.parametrize("stiffness_N_mm", [0.4, 1.0, 5.0])
@@ -33,17 +33,17 @@ def test_the_bend_is_found_whatever_the_stiffness(rng, stiffness_N_mm):
 
 
 @pytest.mark.parametrize("power", [1.0, 1.25, 1.4, 1.75])
-def test_the_doubt_of_a_contact_is_the_spread_of_many(rng, power):
-    errors_mm, doubts_mm = [], []
+def test_the_uncertainty_of_a_contact_is_the_spread_of_many(rng, power):
+    errors_mm, uncertainties_mm = [], []
     for _ in range(60):
         stage_mm = np.arange(4.0 + rng.uniform(0, 0.006), 5.2 + (0.3 / 5.0) ** (1 / power), 0.006)
         fit_onset = fit_contact_onset(
             stage_mm, 5.0 * np.maximum(0.0, stage_mm - 5.2) ** power + rng.normal(0, 0.004, len(stage_mm))
         )
         errors_mm.append(fit_onset.at_mm - 5.2)
-        doubts_mm.append(fit_onset.uncertainty_mm)
+        uncertainties_mm.append(fit_onset.uncertainty_mm)
     spread_mm = np.sqrt(np.mean(np.square(errors_mm)))
-    assert spread_mm == pytest.approx(np.median(doubts_mm), rel=0.3)  # 60 draws tell a spread within 9 %
+    assert spread_mm == pytest.approx(np.median(uncertainties_mm), rel=0.3)  # 60 draws tell a spread within 9 %
 
 
 @pytest.mark.parametrize("power", layered((1.0, 1.25, 1.4, 1.75, 2.0), (1.4,)))
@@ -56,10 +56,10 @@ def test_the_surface_is_found_within_ten_micrometres_for_any_power_law(power):
 
 
 @pytest.mark.parametrize("power", layered((1.0, 1.4, 2.0), (1.4,)))
-@pytest.mark.parametrize(("late_s", "stated_s"), [(0.1, UNKNOWN_S), (0.3, UNKNOWN_S), (0.1, 0.1)])
-def test_a_late_cell_moves_no_contact_and_its_latency_is_found_after_a_second_touch_too(power, late_s, stated_s):
+@pytest.mark.parametrize(("late_s", "declared_s"), [(0.1, UNKNOWN_S), (0.3, UNKNOWN_S), (0.1, 0.1)])
+def test_a_late_cell_moves_no_contact_and_its_latency_is_found_after_a_second_touch_too(power, late_s, declared_s):
     law, searches = ForceLaw(1.2, power), []
-    case = RigCase(law=law, surface_mm=2.203, cell_late_s=late_s, latency_s=stated_s, stiffest_N_mm=60.0)
+    case = RigCase(law=law, surface_mm=2.203, cell_late_s=late_s, latency_s=declared_s, stiffest_N_mm=60.0)
 
     def follow(progress):
         if progress.phase == SEARCHING:
@@ -88,7 +88,7 @@ def test_units_of_other_stiffness_are_aligned_within_micrometres():
         for k1_N_mm in (0.7, 1.0, 1.4, 1.0, 1.0, 0.7):
             unit = Twin(BaseParameters(k1_N_mm=k1_N_mm))
             station.mount(unit)
-            found_mm = record(bench, "A1", TOUCH, with_reference=True).contact_mm
+            found_mm = record(bench, "A1", FIRST_APPROACH, with_reference=True).contact_mm
             errors_mm.append(found_mm - station.rig.clearance_mm - unit.parameters.u0_mm)
     assert np.max(np.abs(errors_mm)) < 0.02
     assert np.std(errors_mm) < 0.008
@@ -114,7 +114,7 @@ def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead_when_its_del
     assert dead.value.reason.values["change"] == pytest.approx(0.2)
 
 
-def test_an_output_far_ahead_of_a_force_that_is_felt_is_no_fault():
+def test_an_output_far_ahead_of_a_measured_force_is_no_fault():
     search, cell, output = searching()
     cell.append(Sample(0.5, None, (0.1,)))
     output.append(Sample(0.5, None, (1.2,)))

@@ -34,15 +34,17 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     source = shutil.copytree(EXAMPLE, tmp_path_factory.mktemp("source") / "example")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    done = subprocess.run([*command, "--target", str(folder), str(source)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(
+        [*command, "--target", str(folder), str(source)], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 0, process.stderr
     return folder
 
 
-def run(site, *words, cwd):
+def run(site, *arguments, cwd):
     environment = os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1", "PYTEST_ADDOPTS": ""}
     return subprocess.run(
-        [sys.executable, *map(str, words)], capture_output=True, text=True, check=False, env=environment, cwd=cwd
+        [sys.executable, *map(str, arguments)], capture_output=True, text=True, check=False, env=environment, cwd=cwd
     )
 
 
@@ -72,12 +74,12 @@ def test_the_kit_of_the_example_passes_where_it_is_installed(site, tmp_path):
 def test_the_page_presses_a_unit_with_it(site, tmp_path):
     (code,) = [text for mark, _, text in BLOCKS if mark == "run"]
     (tmp_path / "press.py").write_text(code)
-    pressed = run(site, "press.py", cwd=tmp_path)
-    assert pressed.returncode == 0, pressed.stderr
-    said = re.fullmatch(r"(\d{3}) samples in pF, (\d+) lost\n", pressed.stdout)
-    assert said, pressed.stdout
+    process = run(site, "press.py", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
+    match = re.fullmatch(r"(\d{3}) samples in pF, (\d+) lost\n", process.stdout)
+    assert match, process.stdout
     # A bench instrument has no clock of its own: a busy host asks a little late now and then, and says so.
-    assert int(said[2]) <= 0.05 * int(said[1])
+    assert int(match[2]) <= 0.05 * int(match[1])
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import pytest
 
 from softcal.core.errors import DeviceError
-from softcal.station.bench.catalogue import driver_of, offers
+from softcal.station.bench.catalogue import driver_of, list_drivers
 from softcal.station.drivers.arduino import ArduinoConfig
 from softcal.station.interfaces import Move
 from softcal.station.testing import Nonconformity, checks
 
-SHIPPED = [offer.driver for offer in offers() if offer.package == "softcal" and offer.driver is not None]
+SHIPPED = [offer.driver for offer in list_drivers() if offer.package == "softcal" and offer.driver is not None]
 
 
 # A reader behind a thread keeps real time: its checks wait.
@@ -94,7 +94,7 @@ class StartsWithOldReadings(Wrapped):
             self.device.start()
 
 
-class KeepsThePort(Wrapped):
+class LeavesPortOpen(Wrapped):
     def close(self):
         pass
 
@@ -113,7 +113,7 @@ class IgnoresStop(Wrapped):
         pass
 
 
-class SaysItIsElsewhere(Wrapped):
+class ReportsWrongPosition(Wrapped):
     @property
     def position_mm(self):
         return self.device.position_mm + 0.1
@@ -141,11 +141,11 @@ class CannotBeBrokenOff(Wrapped):
         ("readout", "arduino", HalfASecondLate, ["in time"]),
         ("cell", "hx711", EverySecondSample, ["keeps its rate"]),
         ("readout", "arduino", StartsWithOldReadings, ["start() throws away"]),
-        ("cell", "mark10", KeepsThePort, ["opens again"]),
+        ("cell", "mark10", LeavesPortOpen, ["opens again"]),
         ("readout", "scpi_lcr", LeavesAThread, ["leaves no thread"]),
         ("stage", "grbl", IgnoresStop, ["stops at once"]),
         ("stage", "zaber", IgnoresStop, ["stops at once", "silent controller", "noise is said"]),
-        ("stage", "zaber", SaysItIsElsewhere, ["goes where it is told"]),
+        ("stage", "zaber", ReportsWrongPosition, ["goes where it is told"]),
         ("stage", "zaber", TakesAnything, ["only when it is homed", "refuses what it cannot do"]),
         ("stage", "grbl", CannotBeBrokenOff, ["homing can be broken off", "lets itself be watched"]),
         ("stage", "zaber", SwallowsErrors, ["silent controller", "gone is said"]),

@@ -70,7 +70,7 @@ def test_home_is_the_upper_limit_switch(stage, stand):
     assert stage.position_mm == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_missing_switch_is_said(stage, stand):
+def test_a_missing_switch_is_reported(stage, stand):
     _, far_end = stand
     far_end.is_switch_missing = True
     with pytest.raises(DeviceError):

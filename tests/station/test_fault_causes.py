@@ -18,7 +18,7 @@ PROFILE = moves("three", [0.0, 3.0, 0.0, 2.5, 0.0, 3.0, 0.0], [2.0] * 7, [0.5, 0
 RELAXING = Twin(BaseParameters(), (EffectSetting("stress_relaxation", {"g": 0.2, "tau": 1.0}),))
 
 
-def pressed(fault, after_s, unit=None, stage_kind="grbl", profile=PROFILE):
+def press_with_fault(fault, after_s, unit=None, stage_kind="grbl", profile=PROFILE):
     """Press with a fault so many seconds into the profile; return the recording, or the reason why there is none."""
     pending = [True]
     with open_simulated_bench(unit, seed=3, stage_kind=stage_kind) as (bench, station):
@@ -38,7 +38,7 @@ def pressed(fault, after_s, unit=None, stage_kind="grbl", profile=PROFILE):
     return recording
 
 
-def said_of(result):
+def reasons_of(result):
     """A change of the output is a remark, or why there is no recording."""
     return result if isinstance(result, Reason) else result.remarks[0]
 
@@ -57,21 +57,21 @@ def drifting(rate_V_s):
 
 @pytest.mark.parametrize("share", layered((0.9, 0.95, 1.1), (0.9, 1.1)))
 @pytest.mark.parametrize("unit", [None, RELAXING])
-def test_an_output_that_changes_at_equal_force_is_said_with_how_much(share, unit):
-    said = said_of(pressed(changing_gain(share), 4.5, unit))
-    assert said.code == ("rig.output_fell" if share < 1.0 else "rig.output_rose")
-    assert said.values["percent"] == pytest.approx(100 * abs(1 - share), rel=0.3)
+def test_an_output_that_changes_at_equal_force_is_reported_with_how_much(share, unit):
+    sentences = reasons_of(press_with_fault(changing_gain(share), 4.5, unit))
+    assert sentences.code == ("rig.output_fell" if share < 1.0 else "rig.output_rose")
+    assert sentences.values["percent"] == pytest.approx(100 * abs(1 - share), rel=0.3)
 
 
 @pytest.mark.parametrize("rate_V_s", [0.02, -0.02])
-def test_an_output_that_drifts_at_equal_force_is_said_with_how_fast(rate_V_s):
-    said = said_of(pressed(drifting(rate_V_s), 0.0))
-    assert said.code == "rig.output_drift" and said.values["rate"] == pytest.approx(rate_V_s, rel=0.2)
+def test_an_output_that_drifts_at_equal_force_is_reported_with_how_fast(rate_V_s):
+    sentences = reasons_of(press_with_fault(drifting(rate_V_s), 0.0))
+    assert sentences.code == "rig.output_drift" and sentences.values["rate"] == pytest.approx(rate_V_s, rel=0.2)
 
 
 @pytest.mark.parametrize("unit", [None, RELAXING])
-def test_nothing_is_said_of_an_output_that_follows_the_force(unit):
-    assert pressed(lambda station: None, 0.0, unit).remarks == ()
+def test_nothing_is_reported_of_an_output_that_follows_the_force(unit):
+    assert press_with_fault(lambda station: None, 0.0, unit).remarks == ()
 
 
 @pytest.mark.parametrize("stage_kind", ["grbl", "zaber", "esm"])
@@ -79,14 +79,14 @@ def test_a_position_report_that_stands_still_is_the_stages_fault(stage_kind):
     def freeze(station):
         station.far_end(FarEnd, "stage").frozen_mm = station.axis.position_mm
 
-    why = pressed(freeze, 1.2, stage_kind=stage_kind)
+    why = press_with_fault(freeze, 1.2, stage_kind=stage_kind)
     assert why.code == "rig.still" and why.values["seconds"] < 1.0
 
 
 @pytest.mark.parametrize("lost_mm", layered((0.1, 0.15, 0.2, 0.5), (0.15, 0.2)))
 @pytest.mark.parametrize("unit", [None, RELAXING])
 def test_steps_that_are_lost_between_two_presses_are_called_so(lost_mm, unit):
-    why = pressed(lambda station: station.rig.lose_steps(lost_mm), 3.9, unit)
+    why = press_with_fault(lambda station: station.rig.lose_steps(lost_mm), 3.9, unit)
     assert why.code == "rig.slipped" and why.values["lost_mm"] == pytest.approx(lost_mm, abs=0.04)
 
 
@@ -95,7 +95,7 @@ def test_a_cell_whose_gain_changes_is_no_stage_that_slipped(gain):
     def change(station):
         station.rig.force_fault = lambda now_s, force_N: gain * force_N
 
-    assert pressed(change, 3.9).code in ("rig.odd_force", "rig.gain")
+    assert press_with_fault(change, 3.9).code in ("rig.odd_force", "rig.gain")
 
 
 @pytest.mark.parametrize("has_cell", [True, False])

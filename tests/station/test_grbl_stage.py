@@ -72,7 +72,7 @@ def test_positions_are_stamped_between_question_and_answer(homed):
 
 
 @pytest.mark.parametrize(
-    ("move", "facts"),
+    ("move", "message"),
     [
         (Move(40.1, 5.0), r"40\.1 mm .*\[0, 40\] mm"),
         (Move(-0.1, 5.0), "-0.1 mm "),
@@ -80,9 +80,9 @@ def test_positions_are_stamped_between_question_and_answer(homed):
         (Move(10.0, 0.0), " 0 mm/s"),
     ],
 )
-def test_out_of_range_sends_nothing(homed, move, facts):
+def test_out_of_range_sends_nothing(homed, move, message):
     stage, world, controller = homed
-    with pytest.raises(CommandRefused, match=facts):
+    with pytest.raises(CommandRefused, match=message):
         stage.begin(move)
     world.sleep_s(0.1)
     assert not controller.axis.is_moving

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from common.fault_trial import tells_truth
+from common.fault_trial import is_report_true
 from common.rig_trial import ForceLaw, LawUnit, RigCase, open_rig, press, press_until_gone
 
 from softcal.app.line.rig import station_of
@@ -134,18 +134,18 @@ def test_the_self_test_can_be_stopped():
 
 
 @pytest.mark.parametrize("phase", ["searching for contact", PROBING, PRESSING])
-def test_a_held_stage_is_not_lifted_and_the_load_on_the_unit_is_said(phase):
+def test_a_held_stage_is_not_lifted_and_the_load_on_the_unit_is_reported(phase):
     with open_rig(QUICK) as (bench, station):
         hold_when(station, phase, 0.8)
         with pytest.raises(StageOnHold, match=r" -?[\d.]+ N ") as caught:
             record(bench, "H1", PROFILE, True, station.on_progress)
-        stands_mm = station.axis.position_mm
+        before_mm = station.axis.position_mm
         station.world.sleep_s(10.0)
-        assert station.axis.position_mm == stands_mm
-        left = caught.value.reason.values["state"]
-        assert (left.code, left.values["state"].code) == ("left.stands", "left.held")
-        depth_mm = stands_mm - QUICK.surface_mm
-        assert left.values["force_N"] == pytest.approx(float(QUICK.law.force_N(depth_mm)), abs=0.15)
+        assert station.axis.position_mm == before_mm
+        lift_state = caught.value.reason.values["state"]
+        assert (lift_state.code, lift_state.values["state"].code) == ("left.stands", "left.held")
+        depth_mm = before_mm - QUICK.surface_mm
+        assert lift_state.values["force_N"] == pytest.approx(float(QUICK.law.force_N(depth_mm)), abs=0.15)
 
 
 def test_a_stage_held_while_it_goes_back_ends_the_run_in_time():
@@ -169,17 +169,17 @@ def test_a_stage_held_while_it_is_lifted_after_a_stop_stays_there():
         with pytest.raises(NoReply) as caught:
             record(bench, "H1", PROFILE, True, break_cell_then_hold)
         assert caught.value.reason.values["state"].code == "left.may_stand"
-        stands_mm = station.axis.position_mm
+        before_mm = station.axis.position_mm
         station.world.sleep_s(10.0)
-        assert station.axis.position_mm == stands_mm
+        assert station.axis.position_mm == before_mm
 
 
 def hold_when(station, phase, after_s):
-    pressed = []
+    presses = []
 
     def on_progress(progress):
-        if progress.phase == phase and not pressed:
-            pressed.append(True)
+        if progress.phase == phase and not presses:
+            presses.append(True)
             station.world.at(station.world.now_s() + after_s, station.stage.press_hold)
 
     station.on_progress = on_progress
@@ -202,9 +202,9 @@ def test_ctrl_c_stops_lifts_and_says_so():
 def test_the_self_test_names_unsafe_settings_and_the_command_that_mends_each():
     with open_rig(replace(QUICK, acceleration_mm_s2=10.0)) as (bench, _):
         bench.stage.settings.values.update({1: 25.0, 20: 0.0, 21: 0.0})
-        found = {str(f.value): str(f.cure) for f in self_test(bench) if str(f.what) == "setting"}
-    assert set(found) == {"$1=25", "$20=0", "$21=0", "$122=10"}
-    cures = [re.findall(r"\$\d+=\d+", cure) for cure in found.values()]
+        cure_by_setting = {str(f.value): str(f.cure) for f in self_test(bench) if str(f.what) == "setting"}
+    assert set(cure_by_setting) == {"$1=25", "$20=0", "$21=0", "$122=10"}
+    cures = [re.findall(r"\$\d+=\d+", cure) for cure in cure_by_setting.values()]
     assert cures == [["$1=255"], ["$20=1"], ["$21=1"], ["$122=200"]]
 
 
@@ -244,9 +244,9 @@ def test_a_bare_stream_of_small_counts_is_not_taken_for_a_readout(rng):
     world, wire = World(), Wire(rng)
     world.add(SimulatedTextStream(wire, lambda now_s: (8_000 + int(rng.integers(-40, 40)),), 80.0, banner=b""))
     world.sleep_s(2.0)
-    found = identify(wire.port, world)
+    identity = identify(wire.port, world)
     wire.close()
-    assert found.role == ""
+    assert identity.role == ""
 
 
 def test_every_move_of_softcal_is_made_in_one_place():
@@ -279,9 +279,9 @@ def test_a_host_that_dies_above_a_hard_stop_leaves_less_than_the_cell_can_bear(a
 
 def test_the_self_test_measures_how_far_the_stage_runs_on_and_says_the_most_in_mm_and_N():
     with open_rig(replace(QUICK, stiffest_N_mm=1000.0, acceleration_mm_s2=10.0)) as (bench, _):
-        found = {str(f.what): f for f in self_test(bench) if str(f.device) == "stage"}
-    most, measured = found["runs on when the host dies"].value.values, found["ran on when left alone"]
-    assert QUICK.limit_N < most["worst_N"] <= 0.9 * QUICK.capacity_N + 0.05
+        findings = {str(f.what): f for f in self_test(bench) if str(f.device) == "stage"}
+    maximum, measured = findings["runs on when the host dies"].value.values, findings["ran on when left alone"]
+    assert QUICK.limit_N < maximum["worst_N"] <= 0.9 * QUICK.capacity_N + 0.05
     way = measured.value.values
     assert 0.5 * way["most_mm"] < way["way_mm"] <= way["most_mm"] and measured.is_good
 
@@ -299,13 +299,13 @@ def test_what_appears_after_the_slow_press_ends_within_the_stated_bound():
 
         with pytest.raises(DeviceError) as stopped:
             record(bench, "R1", ramps([2.0], speed_mm_s, rest_s=0.5), True, appear)
-        assert tells_truth(stopped.value, bench, station)
+        assert is_report_true(stopped.value, bench, station)
         assert case.capacity_N < station.rig.largest_force_N < bound_N
 
 
 def test_a_controller_that_runs_on_further_than_it_was_told_is_a_fault():
     with open_rig(replace(QUICK, stiffest_N_mm=1000.0)) as (bench, station):
-        told = bench.stage.runs_on_mm
-        bench.stage.runs_on_mm = lambda move: told(move) - 0.1
-        (found,) = [f for f in self_test(bench) if str(f.what) == "ran on when left alone"]
-    assert not found.is_good
+        declared_mm = bench.stage.runs_on_mm
+        bench.stage.runs_on_mm = lambda move: declared_mm(move) - 0.1
+        (finding,) = [f for f in self_test(bench) if str(f.what) == "ran on when left alone"]
+    assert not finding.is_good

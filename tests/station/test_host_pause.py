@@ -21,7 +21,7 @@ from softcal.station.tasks.acquisition import record
 PROFILE = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [1.0, 0.5, 0.5])
 
 
-def pressed(pause_s, is_due, at_pause=lambda station: None):
+def press_with_pause(pause_s, is_due, at_pause=lambda station: None):
     """Press with a host that does nothing for so long, the first time that `is_due(station, progress)`."""
     newest, pending = [], [True]
     with open_simulated_bench(seed=3) as (bench, station):
@@ -46,13 +46,13 @@ def is_pressing_down(station, progress):
     return progress.phase == "pressing" and station.axis.velocity_mm_s > 1.0 and progress.force_N > 0.2
 
 
-def stands_before_a_press(station, progress):
+def is_standing_before_press(station, progress):
     return progress.phase == "pressing" and not station.axis.is_moving and progress.force_N < 0.1
 
 
 @pytest.mark.parametrize("pause_s", [0.3, 0.4, 1.0, 3.0, 20.0])
 def test_a_host_that_stands_still_in_a_press_says_so_and_lifts(pause_s):
-    why, station = pressed(pause_s, is_pressing_down)
+    why, station = press_with_pause(pause_s, is_pressing_down)
     assert why.code == "rig.host_paused"
     assert why.values["seconds"] == pytest.approx(pause_s, abs=0.1)
     assert station.rig.carriage_mm < station.rig.clearance_mm  # Lifted, and it goes nowhere by itself.
@@ -60,19 +60,19 @@ def test_a_host_that_stands_still_in_a_press_says_so_and_lifts(pause_s):
 
 @pytest.mark.parametrize("pause_s", [0.1, 0.2])
 def test_a_moment_is_no_pause(pause_s):
-    recording, _ = pressed(pause_s, is_pressing_down)
+    recording, _ = press_with_pause(pause_s, is_pressing_down)
     assert recording.lost == 0
 
 
 @pytest.mark.parametrize("pause_s", [0.4, 1.0, 3.0])
 def test_a_pause_while_the_stage_stands_loses_nothing(pause_s):
-    recording, _ = pressed(pause_s, stands_before_a_press)
+    recording, _ = press_with_pause(pause_s, is_standing_before_press)
     assert recording.lost == 0
 
 
 @pytest.mark.parametrize(("wire", "device"), [("force_wire", "device.cell"), ("readout_wire", "device.readout")])
 def test_a_device_that_is_gone_after_a_pause_is_named(wire, device):
-    why, _ = pressed(0.4, stands_before_a_press, lambda station: getattr(station, wire).unplug())
+    why, _ = press_with_pause(0.4, is_standing_before_press, lambda station: getattr(station, wire).unplug())
     assert why.code == "rig.gone" and why.values["device"].values["device"].code == device
 
 
@@ -81,7 +81,7 @@ def test_a_device_that_is_silent_after_a_pause_is_named(wire, device):
     def silence(station):
         station.world.at(station.world.now_s() + 0.4, lambda: setattr(getattr(station, wire), "is_silent", True))
 
-    why, _ = pressed(0.4, stands_before_a_press, silence)
+    why, _ = press_with_pause(0.4, is_standing_before_press, silence)
     assert why.code == "rig.silent" and why.values["device"].code == device
 
 
@@ -94,12 +94,12 @@ def test_lines_that_were_full_meanwhile_are_the_hosts_doing(wire):
         line.is_silent = True
         station.world.at(back_s, lambda: setattr(line, "is_silent", False))
 
-    why, _ = pressed(1.0, stands_before_a_press, fill)
+    why, _ = press_with_pause(1.0, is_standing_before_press, fill)
     assert why.code == "rig.host_paused"
 
 
 def test_an_overload_that_was_read_late_is_an_overload():
-    why, _ = pressed(
+    why, _ = press_with_pause(
         0.4, is_pressing_down, lambda station: setattr(station.rig, "force_fault", lambda now_s, force_N: 100.0)
     )
     assert why.code == "rig.force"
@@ -149,8 +149,8 @@ def test_a_process_that_is_stopped_and_goes_on_says_that_it_stood_still(pause_s)
         lines += host.stdout.read().decode().splitlines()
     # On a machine that is busy the host may have stood still before it was stopped.
     assert "refused rig.host_paused" in lines[-1], lines[-5:]
-    (said_s,) = re.findall(r"stood still for ([0-9.]+) s", lines[-1])
-    assert 0.25 <= float(said_s) <= pause_s + 0.2
+    (reported_s,) = re.findall(r"stood still for ([0-9.]+) s", lines[-1])
+    assert 0.25 <= float(reported_s) <= pause_s + 0.2
     assert (
         station.axis.position_mm <= stopped_mm and not station.axis.is_moving
     )  # Lifted, and it goes nowhere by itself.

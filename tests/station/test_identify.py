@@ -33,10 +33,10 @@ def station(rng):
 
 def test_each_device_is_known_by_what_it_says(station):
     wires = (station.stage_wire, station.force_wire, station.readout_wire)
-    found = {device.role: device for device in (identify(wire.port, station.world) for wire in wires)}
-    assert (found["stage"].kind, found["force"].kind, found["readout"].kind) == ("grbl", "hx711", "arduino")
-    assert found["force"].rate_Hz == pytest.approx(80.0, rel=0.1)
-    assert found["readout"].rate_Hz == pytest.approx(50.0)
+    devices = {device.role: device for device in (identify(wire.port, station.world) for wire in wires)}
+    assert (devices["stage"].kind, devices["force"].kind, devices["readout"].kind) == ("grbl", "hx711", "arduino")
+    assert devices["force"].rate_Hz == pytest.approx(80.0, rel=0.1)
+    assert devices["readout"].rate_Hz == pytest.approx(50.0)
 
 
 @pytest.mark.parametrize(
@@ -44,9 +44,9 @@ def test_each_device_is_known_by_what_it_says(station):
     [("stage_wire", "Grbl|GRBL"), ("force_wire", "softcal load cell"), ("readout_wire", "softcal readout")],
 )
 def test_every_port_says_what_it_answered_in_both_languages(station, wire, answer):
-    says = identify(getattr(station, wire).port, station.world).says
-    in_korean = render_reason(says, partial(text, "ko"))
-    assert re.search(answer, str(says)) and re.search(answer, in_korean) and in_korean != str(says)
+    reply = identify(getattr(station, wire).port, station.world).says
+    in_korean = render_reason(reply, partial(text, "ko"))
+    assert re.search(answer, str(reply)) and re.search(answer, in_korean) and in_korean != str(reply)
 
 
 def test_a_port_that_another_program_has_open_without_a_lock_is_named_and_left_alone(station, monkeypatch):
@@ -55,12 +55,12 @@ def test_a_port_that_another_program_has_open_without_a_lock_is_named_and_left_a
     hold = "import os, sys, time; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print(flush=True); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", hold, station.force_wire.port], stdout=subprocess.PIPE) as other:
         assert other.stdout.readline()
-        (found,) = rig.find_devices([])
+        (device,) = rig.find_devices([])
         other.kill()
-    assert found.role == ""
-    assert re.search(rf"\b{other.pid}\b", str(found.says))
+    assert device.role == ""
+    assert re.search(rf"\b{other.pid}\b", str(device.says))
     with pytest.raises(NoReply, match=rf"\b{other.pid}\b"):
-        rig.station_of([found])
+        rig.station_of([device])
 
 
 def test_a_controller_that_cannot_home_is_told_every_setting_that_is_unsafe(station):

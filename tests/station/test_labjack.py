@@ -39,11 +39,11 @@ def test_further_channels_are_the_next_inputs():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "message"),
     [("full_scale_V", 5.0, "10, 1, 0.1, 0.01"), ("first_input", 300, r"\[0, 254\]"), ("resolution", 13, r"\[0, 12\]")],
 )
-def test_a_setting_that_cannot_be_is_refused_when_the_file_is_read(key, value, said):
-    with pytest.raises(InputError, match=f"readout.{key} is .*{said}"):
+def test_a_setting_that_cannot_be_is_refused_when_the_file_is_read(key, value, message):
+    with pytest.raises(InputError, match=f"readout.{key} is .*{message}"):
         device_section("readout", {"kind": "labjack", "port": "ANY", key: value})
 
 
@@ -93,6 +93,6 @@ def test_softcal_calls_the_library_as_it_is(monkeypatch):
     monkeypatch.setattr(ctypes.CDLL, "__init__", lambda self, *_, **__: None, raising=True)
     ljm = pytest.importorskip("labjack.ljm")
     for name in ("openS", "close", "eReadName", "eReadNames", "eWriteName"):
-        own = list(inspect.signature(getattr(SimulatedLjm, name)).parameters)[1:]
-        assert own == list(inspect.signature(getattr(ljm, name)).parameters), name
+        simulated_parameters = list(inspect.signature(getattr(SimulatedLjm, name)).parameters)[1:]
+        assert simulated_parameters == list(inspect.signature(getattr(ljm, name)).parameters), name
     assert issubclass(ljm.LJMError, Exception)

@@ -17,12 +17,12 @@ RESTS = (State.STOPPED, State.OVER)
 RUNNING = [state for state, row in TABLE.items() if State.OVER in row.exits]
 
 
-@pytest.mark.parametrize(("most_faults", "runs"), [(2, 4_000), pytest.param(3, 200_000, marks=pytest.mark.long)])
-def test_every_run_with_any_faults_keeps_the_properties(most_faults, runs):
-    found = explore(broken_property, most_faults)
-    assert found.broken == ()
-    assert found.runs > runs and found.states > 15
-    assert found.ways == {
+@pytest.mark.parametrize(("max_faults", "runs"), [(2, 4_000), pytest.param(3, 200_000, marks=pytest.mark.long)])
+def test_every_run_with_any_faults_keeps_the_properties(max_faults, runs):
+    counterexample = explore(broken_property, max_faults)
+    assert counterexample.broken == ()
+    assert counterexample.runs > runs and counterexample.states > 15
+    assert counterexample.ways == {
         (state, following) for state, row in TABLE.items() for following in row.exits
     }  # none was left untried
 
@@ -47,12 +47,12 @@ def waits_for_ever(monkeypatch):
     monkeypatch.setattr(interlock, "TABLE", endless)
 
 
-def lifts_what_is_held(monkeypatch):
+def lifts_on_hold(monkeypatch):
     """The button at the machine is taken for any other fault."""
     monkeypatch.setattr(motion, "StageOnHold", type("NobodyRaisesThis", (Exception,), {}))
 
 
-def says_lifted_without_lifting(monkeypatch):
+def reports_lift_without_lifting(monkeypatch):
     def lift(self):
         self.enter(State.LIFTING)
         self.enter(State.STOPPED)
@@ -61,7 +61,7 @@ def says_lifted_without_lifting(monkeypatch):
     monkeypatch.setattr(Motion, "_lift", lift)
 
 
-def says_nothing_of_the_load(monkeypatch):
+def omits_load_from_reason(monkeypatch):
     monkeypatch.setattr(motion, "reason", lambda code, **values: plain("stopped"))
 
 
@@ -107,10 +107,10 @@ def stays_open_after_a_stop(monkeypatch):
     [
         (goes_on, "moves down after a stop"),
         (waits_for_ever, "a state has no deadline"),
-        (lifts_what_is_held, "moves by itself while somebody holds it"),
-        (says_lifted_without_lifting, "says of the stage what is not so"),
+        (lifts_on_hold, "moves by itself while somebody holds it"),
+        (reports_lift_without_lifting, "says of the stage what is not so"),
         (believes_the_count, "says of the stage what is not so"),
-        (says_nothing_of_the_load, "does not say what stands on the unit"),
+        (omits_load_from_reason, "does not say what stands on the unit"),
         (lifts_the_wrong_way, "moves down after a stop"),
         (homes_to_get_away, "moves down after a stop"),
         (stays_open_after_a_stop, "a run does not end"),
@@ -119,27 +119,27 @@ def stays_open_after_a_stop(monkeypatch):
 def test_the_search_finds_a_safety_core_that_is_broken(monkeypatch, mutate, property_):
     mutate(monkeypatch)
 
-    def judge(told):
-        return property_ if broken_property(told).startswith(property_) else ""
+    def broken_name(moves):
+        return property_ if broken_property(moves).startswith(property_) else ""
 
-    most_faults = 2 if mutate is believes_the_count else 1
-    assert explore(judge, most_faults, stops_early=True).broken
+    max_faults = 2 if mutate is believes_the_count else 1
+    assert explore(broken_name, max_faults, stops_early=True).broken
 
 
 def test_a_run_without_faults_does_all_of_its_moves():
-    told, _ = run_once([])
-    assert told.ended is State.OVER
-    assert told.commands == ["home", *["down", "stop", "up"] * 2, "down", "stop", "down", "up", "down", "stop", "up"]
+    moves, _ = run_once([])
+    assert moves.ended is State.OVER
+    assert moves.commands == ["home", *["down", "stop", "up"] * 2, "down", "stop", "down", "up", "down", "stop", "up"]
 
 
 def reached(start: State) -> set[State]:
-    seen, waiting = set(), [start]
+    explored, waiting = set(), [start]
     while waiting:
         for following in TABLE[waiting.pop()].exits:
-            if following not in seen:
-                seen.add(following)
+            if following not in explored:
+                explored.add(following)
                 waiting.append(following)
-    return seen
+    return explored
 
 
 @pytest.mark.parametrize("state", State)
@@ -211,10 +211,10 @@ CHECKS = {
 }
 
 
-@pytest.mark.parametrize("watch", StageMonitor)
-def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypatch):
+@pytest.mark.parametrize("monitor", StageMonitor)
+def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(monitor, monkeypatch):
     """The watch is made to stop whatever it is shown: then a look at the devices stops the run, or it does not."""
-    owner, method = CHECKS[watch]
+    owner, method = CHECKS[monitor]
     with open_simulated_bench(seed=1) as (bench, _):
         monitored = MonitoredBench(bench)
         monitored.start()
@@ -223,9 +223,9 @@ def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypa
         monitored.estimates = RunEstimates(0.0, 0.0, 0.5, 1.0, 1.0, 0.0)
         monitored.motion.state = State.SEARCHING
         monitored.expect_contact(0.5)
-        mine = monitored._stuck.get(watch, ())
+        mine = monitored._stuck.get(monitor, ())
 
-        def stop(self, *shown):
+        def stop(self, *arguments):
             if not mine or self in mine:
                 raise Stopped
 
@@ -233,7 +233,7 @@ def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypa
         for state in RUNNING:
             monitored.motion.state = state
             monitored.start()
-            assert stops(monitored, state) == (watch in TABLE[state].monitors), state
+            assert stops(monitored, state) == (monitor in TABLE[state].monitors), state
 
 
 def stops(monitored: MonitoredBench, state: State) -> bool:

@@ -38,9 +38,9 @@ def relaxing_force(t_s, share=0.3, time_s=0.8):
     """A standard linear solid: a spring, and a Maxwell branch, in steps of a millisecond."""
     fine_s = np.arange(0.0, 31.0, 0.001)
     elastic = 0.8 * stage_mm(fine_s) ** 1.5
-    branch, kept = np.zeros_like(elastic), np.exp(-0.001 / time_s)
+    branch, decay = np.zeros_like(elastic), np.exp(-0.001 / time_s)
     for k in range(1, len(elastic)):
-        branch[k] = kept * branch[k - 1] + elastic[k] - elastic[k - 1]
+        branch[k] = decay * branch[k - 1] + elastic[k] - elastic[k - 1]
     return np.interp(t_s, fine_s, (1 - share) * elastic + share * branch)
 
 
@@ -115,7 +115,7 @@ def shown_by(force_N, rng):
     return 1.4 + 0.1 * force_N + rng.normal(0, 0.002, len(force_N))
 
 
-def is_odd(t_s, force_N, output):
+def check_is_refused(t_s, force_N, output):
     refused("rig.odd_force", check_law, t_s, force_N, output, stage_mm, 0.0)
 
 
@@ -125,7 +125,7 @@ def test_a_gain_that_changes_once_is_refused_however_few_presses_there_are(gain,
     t_s = np.arange(0.0, 6.0, 1 / samples_Hz)
     force_N, output = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s)), shown_by(relaxing_force(t_s), rng)
     check_law(t_s, force_N, output, stage_mm, 0.0)
-    is_odd(t_s, np.where(t_s > 3.0, gain, 1.0) * force_N, output)
+    check_is_refused(t_s, np.where(t_s > 3.0, gain, 1.0) * force_N, output)
 
 
 @pytest.mark.parametrize("changes_s", [8.0, 15.0, 21.7])
@@ -136,7 +136,7 @@ def test_a_gain_a_zero_or_a_delay_that_changes_a_little_at_any_moment_is_refused
     check_law(t_s, force_N, output, stage_mm, 0.0)
     late_N = relaxing_force(t_s - 0.1) + rng.normal(0, 0.01, len(t_s))
     for changed_N in (0.85 * force_N, 1.15 * force_N, force_N + 0.3, force_N - 0.3, late_N):
-        is_odd(t_s, np.where(t_s > changes_s, changed_N, force_N), output)
+        check_is_refused(t_s, np.where(t_s > changes_s, changed_N, force_N), output)
 
 
 def test_a_unit_that_softens_or_a_sensor_that_drifts_is_no_cell_that_changes(rng):
@@ -148,18 +148,18 @@ def test_a_unit_that_softens_or_a_sensor_that_drifts_is_no_cell_that_changes(rng
     check_law(t_s, relaxing_force(t_s) + noise_N, drifting, stage_mm, 0.0)
 
 
-@pytest.mark.parametrize("held_s", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("hang_s", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("samples_Hz", [10.0, 80.0])
-def test_a_cell_that_hangs_for_a_moment_is_refused_although_its_noise_goes_on(held_s, samples_Hz, rng):
+def test_a_cell_that_hangs_for_a_moment_is_refused_although_its_noise_goes_on(hang_s, samples_Hz, rng):
     t_s = np.arange(0.0, 12.0, 1 / samples_Hz)
     force_N = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s))
     output = shown_by(force_N, rng)
     check_law(t_s, force_N, output, stage_mm, 0.0)
     begins = int(np.argmax(force_N > 1.0))
-    is_held = (t_s >= t_s[begins]) & (t_s < t_s[begins] + held_s)
-    hanging_N = np.where(is_held, force_N[begins] + rng.normal(0, 0.01, len(t_s)), force_N)
+    is_hanging = (t_s >= t_s[begins]) & (t_s < t_s[begins] + hang_s)
+    hanging_N = np.where(is_hanging, force_N[begins] + rng.normal(0, 0.01, len(t_s)), force_N)
     at_s = refused("rig.odd_force", check_law, t_s, hanging_N, output, stage_mm, 0.0)["at_s"]
-    assert t_s[begins] - 0.1 <= at_s <= t_s[begins] + held_s + 0.1
+    assert t_s[begins] - 0.1 <= at_s <= t_s[begins] + hang_s + 0.1
 
 
 @pytest.mark.parametrize("seed", [156, 204, 108])
@@ -223,7 +223,7 @@ def test_a_bit_that_hangs_is_found(bit, is_one, rng):
 @pytest.mark.parametrize(
     "kind", ["arduino", "scpi_lcr", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("scpi_dmm", "labjack"))]
 )
-def test_a_loose_cable_of_the_output_is_said_through_every_readout(kind):
+def test_a_loose_cable_of_the_output_is_reported_through_every_readout(kind):
     profile, pending = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5]), [1.2]
     with open_simulated_bench(seed=3, readout_kind=kind) as (bench, station):
 
@@ -241,7 +241,7 @@ def test_a_loose_cable_of_the_output_is_said_through_every_readout(kind):
     assert 0.5 < about.values["at_s"] < 2.5 and 0.02 <= about.values["lasts_s"] <= 0.1
 
 
-def test_a_loose_cable_is_said_of_a_spooled_run_too(tmp_path):
+def test_a_loose_cable_is_reported_of_a_spooled_run_too(tmp_path):
     rig = draw_good_rig(2003)
     press_good_rig(rig, tmp_path / "run.spool")
     run = read_spool(tmp_path / "run.spool")

@@ -22,7 +22,7 @@ FAST = ramps([2.0, 3.0, 3.0], 4.0, rest_s=0.5)
 RELAXING = Twin(BaseParameters(), (EffectSetting("stress_relaxation", {"g": 0.3, "tau": 0.12}),))
 
 
-def pressed(constant_s, late_s=0.0, latency_s=0.0, unit=None, profile=FAST, with_reference=True):
+def press_with_lag(constant_s, late_s=0.0, latency_s=0.0, unit=None, profile=FAST, with_reference=True):
     """Press a unit whose load cell is behind a low pass, and late; return the recording and its true force."""
     twin = unit or Twin()
     with open_simulated_bench(twin, seed=3) as (bench, station):
@@ -38,7 +38,7 @@ def pressed(constant_s, late_s=0.0, latency_s=0.0, unit=None, profile=FAST, with
 
 def refused(*arguments, **options):
     with pytest.raises(BadReply) as bad:
-        pressed(*arguments, **options)
+        press_with_lag(*arguments, **options)
     return bad.value.reason.values["why"]
 
 
@@ -77,9 +77,9 @@ def test_the_profile_of_a_source_shows_the_low_pass(seconds):
     assert why.values["constant_s"] == pytest.approx(0.1, rel=0.25)
 
 
-def test_a_slight_low_pass_is_said_with_its_time_constant_and_what_it_leaves():
+def test_a_slight_low_pass_is_reported_with_its_time_constant_and_what_it_leaves():
     slow = moves("slow", [0.0, 3.0, 0.0, 3.0, 0.0], [1.0, 1.0, 1.0, 2.5, 2.5], [0.5, 0.5, 0.5, 0.0, 1.0])
-    recording, true_N = pressed(0.03, latency_s=UNKNOWN_S, profile=slow)
+    recording, true_N = press_with_lag(0.03, latency_s=UNKNOWN_S, profile=slow)
     assert recording.alignment.force_time_constant_s == pytest.approx(0.03, rel=0.4)
     error_N = np.sqrt(np.mean((recording.force_N - true_N) ** 2))
     # The rest is where the contact was found, and the cell's noise.
@@ -87,14 +87,14 @@ def test_a_slight_low_pass_is_said_with_its_time_constant_and_what_it_leaves():
 
 
 def test_a_run_that_keeps_no_force_may_be_pressed_behind_a_low_pass_that_is_stated():
-    recording, _ = pressed(0.1, 0.0, 0.1, with_reference=False)
+    recording, _ = press_with_lag(0.1, 0.0, 0.1, with_reference=False)
     assert recording.alignment.force_time_constant_s == pytest.approx(0.1, rel=0.25)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("unit", [None, RELAXING])
 def test_a_late_cell_has_no_low_pass(late_s, unit):
-    recording, _ = pressed(0.0, late_s, UNKNOWN_S, unit)
+    recording, _ = press_with_lag(0.0, late_s, UNKNOWN_S, unit)
     assert recording.alignment.force_time_constant_s == recording.alignment.force_response_N == 0.0
 
 
@@ -102,7 +102,7 @@ def test_a_late_cell_has_no_low_pass(late_s, unit):
 @pytest.mark.parametrize("constant_s", [0.03, 0.1, 0.2, 0.3])
 @pytest.mark.parametrize("late_s", [0.0, 0.2])
 @pytest.mark.parametrize("samples_Hz", [40.0, 80.0])
-def test_delay_and_time_constant_are_told_apart(constant_s, late_s, samples_Hz, relaxation_s, tolerance, rng):
+def test_delay_and_time_constant_are_distinguished(constant_s, late_s, samples_Hz, relaxation_s, tolerance, rng):
     """A unit that relaxes as fast as the cell follows takes off some of what the filter does, and is taken for that."""
     fine_s = np.arange(0.0, 30.0, 0.001)
     turns_s, turns_mm = [0.0, 1.0, 1.4, 1.8, 3.5, 4.0, 5.0, 5.3, 6.0], [0, 3, 3, 0, 3, 1, 1, 3, 0]
@@ -121,7 +121,7 @@ def test_delay_and_time_constant_are_told_apart(constant_s, late_s, samples_Hz, 
 
 def behind_low_pass(values, constant_s):
     """In steps of a millisecond."""
-    level, kept, shown = values[0], np.exp(-0.001 / constant_s), np.empty_like(values)
+    level, decay, filtered = values[0], np.exp(-0.001 / constant_s), np.empty_like(values)
     for k, value in enumerate(values):
-        level = shown[k] = value + (level - value) * kept
-    return shown
+        level = filtered[k] = value + (level - value) * decay
+    return filtered

@@ -27,16 +27,16 @@ STALL_S = 0.1
 
 def pressed_until_raised(speed_mm_s: float, slope_V_mm: float, lsb_V: float, seed: int) -> float | None:
     """Press 3 mm deep past a watch, lines held back by stalls; return the depth at which it raised, if it did."""
-    rng, watch = np.random.default_rng(seed), StuckMonitor("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
+    rng, monitor = np.random.default_rng(seed), StuckMonitor("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
     taken_s = np.arange(0.0, 3.0 / speed_mm_s, 1.0 / RATE_HZ)
-    seen_s = taken_s + 0.001
-    for k in range(len(seen_s)):
+    received_s = taken_s + 0.001
+    for k in range(len(received_s)):
         if rng.random() < 0.1:
-            seen_s[k:] = np.maximum(seen_s[k:], taken_s[k] + rng.uniform(0.0, STALL_S))
-    for at_s, host_s in zip(taken_s, seen_s, strict=True):
+            received_s[k:] = np.maximum(received_s[k:], taken_s[k] + rng.uniform(0.0, STALL_S))
+    for at_s, host_s in zip(taken_s, received_s, strict=True):
         level = round((1.0 + slope_V_mm * speed_mm_s * at_s) / lsb_V) * lsb_V
         try:
-            watch.check(level, speed_mm_s * float(host_s))
+            monitor.check(level, speed_mm_s * float(host_s))
         except BadReply:
             return speed_mm_s * float(host_s)
     return None
@@ -57,19 +57,19 @@ def test_a_channel_that_never_changes_is_frozen(speed_mm_s: float, seed: int) ->
 
 
 def test_one_late_line_is_no_frozen_channel() -> None:
-    watch = StuckMonitor("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
-    watch.check(1.559, 0.50)
-    watch.check(1.559, 1.25)
+    monitor = StuckMonitor("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
+    monitor.check(1.559, 0.50)
+    monitor.check(1.559, 1.25)
     with pytest.raises(BadReply):
         for _ in range(10):
-            watch.check(1.559, 1.25)
+            monitor.check(1.559, 1.25)
 
 
-def follow(watch: FollowMonitor, way: list[tuple[float, float]], began_s: float = 0.0) -> float | None:
+def follow(monitor: FollowMonitor, way: list[tuple[float, float]], began_s: float = 0.0) -> float | None:
     """Show a watch depths in mm and forces in N every 10 ms; return the time at which it raised, if it did."""
     for k, (pressed_mm, force_N) in enumerate(way):
         try:
-            watch.check(force_N, pressed_mm, began_s + 0.01 * k)
+            monitor.check(force_N, pressed_mm, began_s + 0.01 * k)
         except BadReply:
             return began_s + 0.01 * k
     return None
@@ -83,34 +83,34 @@ def ramp(from_mm: float, to_mm: float, force_N: float) -> list[tuple[float, floa
 def test_a_unit_that_relaxed_and_is_let_up_half_way_may_show_no_force_for_a_while():
     """It comes back slowly; pressed again as deep as it had been felt it must show one."""
     way = [*ramp(0.0, 2.5, 3.0), *ramp(2.5, 1.3, 0.0), *[(1.3, 0.0)] * 300]
-    watch = FollowMonitor(0.05)
-    assert follow(watch, way) is None
-    again = follow(watch, ramp(1.3, 2.5, 0.0), 10.0)
+    monitor = FollowMonitor(0.05)
+    assert follow(monitor, way) is None
+    again = follow(monitor, ramp(1.3, 2.5, 0.0), 10.0)
     assert again is not None and again - 10.0 <= 0.01 * PRESSED_MM / 0.02 + MISSING_S + 0.02
 
 
 @pytest.mark.parametrize("at_mm", [0.9, 1.5, 2.5])
 def test_a_cell_that_dies_while_the_stage_goes_down_or_holds_is_seen_at_once(at_mm):
     for after in (ramp(at_mm, 3.0, 0.0), [(at_mm, 0.0)] * 100):
-        watch = FollowMonitor(0.05)
-        assert follow(watch, ramp(0.0, at_mm, 2.0)) is None
-        seen_s = follow(watch, after, 5.0)
-        assert seen_s is not None and seen_s - 5.0 <= MISSING_S + 0.03
+        monitor = FollowMonitor(0.05)
+        assert follow(monitor, ramp(0.0, at_mm, 2.0)) is None
+        received_s = follow(monitor, after, 5.0)
+        assert received_s is not None and received_s - 5.0 <= MISSING_S + 0.03
 
 
 @pytest.mark.parametrize("ahead_s", [-5000.0, -0.5, 0.0, 0.5, 5000.0])
 def test_readings_are_as_old_as_the_line_holds_them_back_wherever_the_device_began_to_count(ahead_s: float) -> None:
-    def held_back(line_s: float) -> float | None:
+    def time_raised(line_s: float) -> float | None:
         """Host time of the reading at which the watch raises, the line holding them back from the third second on."""
-        watch = StreamMonitor(SimpleNamespace(name="readout", rate_Hz=RATE_HZ), SafetyConfig(), 0.0)  # type: ignore[arg-type]
+        monitor = StreamMonitor(SimpleNamespace(name="readout", rate_Hz=RATE_HZ), SafetyConfig(), 0.0)  # type: ignore[arg-type]
         for taken_s in np.arange(0.0, 6.0, 1.0 / RATE_HZ):
             host_s = float(taken_s) + (line_s if taken_s >= 3.0 else 0.0)
             try:
-                watch.check(Sample(host_s, float(taken_s) + ahead_s, (1.0,)))
+                monitor.check(Sample(host_s, float(taken_s) + ahead_s, (1.0,)))
             except NoReply:
                 return host_s
         return None
 
-    assert held_back(0.2) is None
-    raised_s = held_back(0.5)
+    assert time_raised(0.2) is None
+    raised_s = time_raised(0.5)
     assert raised_s is not None and 3.5 < raised_s < 4.0

@@ -48,7 +48,7 @@ def test_what_is_no_reading_is_not_taken_for_one(line, code):
 
 
 @pytest.mark.parametrize(
-    ("config", "keys", "facts"),
+    ("config", "keys", "message"),
     [
         (DmmConfig, {"quantity": "current"}, r"\.quantity.* voltage, resistance, resistance_4w"),
         (DmmConfig, {"cycles": 0.5}, r"\.cycles.* 0.02, 0.2, 1, 10, 100"),
@@ -61,8 +61,8 @@ def test_what_is_no_reading_is_not_taken_for_one(line, code):
         (LcrConfig, {"level_V": 0.0}, r"\.level_V.*\(0, 20\]"),
     ],
 )
-def test_what_the_instrument_cannot_do_is_refused_when_the_file_is_read(config, keys, facts):
-    with pytest.raises(InputError, match=facts):
+def test_what_the_instrument_cannot_do_is_refused_when_the_file_is_read(config, keys, message):
+    with pytest.raises(InputError, match=message):
         config("tcp://10.0.0.1:5025", **keys)
 
 
@@ -137,7 +137,7 @@ def test_fifty_readings_a_second_through_its_integration(wired):
     reader.close()
 
 
-def test_a_command_the_instrument_does_not_take_is_said_before_anything_moves(wired):
+def test_a_command_the_instrument_does_not_take_is_reported_before_anything_moves(wired):
     world, far_end = wired(SimulatedDmm, lambda now_s: 1.0)
     far_end.refuses = "TRIG:DEL"
     with pytest.raises(CommandRefused, match="-113"):
@@ -203,8 +203,8 @@ def test_pyvisa_itself_drives_the_far_end(wired, setup, kind):
         assert session.query("SYST:ERR?").startswith("+0")
         session.write("VOLTS 3")
         assert session.query("SYST:ERR?").startswith("-113")
-        asked = "READ?" if kind is SimulatedDmm else "TRIG:IMM;:FETC?"
-        assert float(session.query(asked).split(",")[0]) == pytest.approx(2.5e-12)
+        query = "READ?" if kind is SimulatedDmm else "TRIG:IMM;:FETC?"
+        assert float(session.query(query).split(",")[0]) == pytest.approx(2.5e-12)
         session.close()
         manager.close()
 
@@ -232,8 +232,8 @@ def test_a_unit_is_pressed_and_recorded_through_a_bench_instrument(kind, unit, p
 def test_an_instrument_switched_off_while_pressing_aborts_the_run():
     profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
     with open_simulated_bench(seed=3, readout_kind="scpi_lcr") as (bench, station):
-        tell = {"pressing": station.readout_wire.unplug}
-        with pytest.raises(NoReply) as gone:
-            record(bench, "A1", profile, True, lambda progress: tell.pop(progress.phase, lambda: None)())
-        assert gone.value.reason.values["why"].code == "rig.gone"
+        callbacks = {"pressing": station.readout_wire.unplug}
+        with pytest.raises(NoReply) as caught:
+            record(bench, "A1", profile, True, lambda progress: callbacks.pop(progress.phase, lambda: None)())
+        assert caught.value.reason.values["why"].code == "rig.gone"
         assert not station.axis.is_moving

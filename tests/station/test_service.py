@@ -69,7 +69,7 @@ def order(kind=OrderKind.UNIT, serial="A1", order_id="1"):
     return Order(order_id, "s1", kind, serial)
 
 
-def test_a_unit_is_pressed_and_its_progress_told(host, service):
+def test_a_unit_is_pressed_and_its_progress_reported(host, service):
     recording = service.perform(order())
     assert recording is not None and recording.force_N is None
     assert service.state is StationState.READY
@@ -186,7 +186,7 @@ def test_a_hand_at_the_fixture_between_two_runs_stops_nothing(host, service):
         (lambda station: setattr(station.rig, "force_fault", lambda now_s, force_N: force_N + 3.0), "zero_fault"),
     ],
 )
-def test_a_fault_of_homing_or_zero_is_told_to_the_gate_until_a_self_test_is_good(host, service, break_it, fault):
+def test_a_fault_of_homing_or_zero_is_reported_to_the_gate_until_a_self_test_is_good(host, service, break_it, fault):
     break_it(host.stations[-1])
     service.perform(order())
     assert host.reports[-1].state is RunState.ERROR

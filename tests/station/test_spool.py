@@ -96,18 +96,18 @@ class FilledInMidWrite:
         self._file, self.fill, self.is_full = file, None, threading.Event()
 
     def write(self, data):
-        written = self._file.write(data)
+        count = self._file.write(data)
         if self.fill is not None:
             self.fill()
             self.fill = None
             self.is_full.set()
-        return written
+        return count
 
     def __getattr__(self, name):
         return getattr(self._file, name)
 
 
-def test_a_disk_that_fills_up_between_a_write_and_its_sync_is_told_as_a_full_one(tmp_path, monkeypatch):
+def test_a_disk_that_fills_up_between_a_write_and_its_sync_is_reported_as_a_full_one(tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
         opened = Path.open
         patched.setattr(Path, "open", lambda path, mode: FilledInMidWrite(opened(path, mode)))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from common.fault_trial import tells_truth
+from common.fault_trial import is_report_true
 from common.proof_trial import draw_good_rig, open_good_rig
 from common.rig_trial import ForceLaw, RigCase, open_rig
 
@@ -38,7 +38,7 @@ class Breaks:
             raise KeyboardInterrupt
 
 
-def said_after(seed):
+def stage_sentence_after(seed):
     """Break a drawn rig in a drawn way; return what is said of its stage ("" for a run that went through)."""
     rng = np.random.default_rng([seed, 340])
     rig = replace(draw_good_rig(seed), profile=PROFILE)
@@ -56,25 +56,25 @@ def said_after(seed):
         try:
             record(bench, "S1", rig.profile, True, on_progress, on_wait=breaks.on_wait)
         except DeviceError as error:
-            assert tells_truth(error, bench, station, zeros_N[0] if zeros_N else 0.0), f"{seed}: {error}"
+            assert is_report_true(error, bench, station, zeros_N[0] if zeros_N else 0.0), f"{seed}: {error}"
             return code_of(error)
     return ""
 
 
 def code_of(error):
-    left = error.reason.values["state"]
-    return left.values.get("state", left).code
+    lift_state = error.reason.values["state"]
+    return lift_state.values.get("state", lift_state).code
 
 
 @pytest.mark.parametrize("seed", [*range(5), 1132])  # 1132: a touch before the stage had said where it is
-def test_what_is_said_of_the_stage_after_drawn_faults_is_so(seed):
-    said_after(seed)
+def test_what_is_reported_of_the_stage_after_drawn_faults_is_so(seed):
+    stage_sentence_after(seed)
 
 
 @pytest.mark.long
-def test_what_is_said_of_the_stage_after_a_hundred_drawn_faults_is_so():
-    said = Counter(said_after(seed) for seed in range(100, 200))
-    assert {"left.lifted", "left.told", "left.stays"} <= set(said)
+def test_what_is_reported_of_the_stage_after_a_hundred_drawn_faults_is_so():
+    sentence_counts = Counter(stage_sentence_after(seed) for seed in range(100, 200))
+    assert {"left.lifted", "left.told", "left.stays"} <= set(sentence_counts)
 
 
 QUICK = RigCase(latency_s=0.0, stiffest_N_mm=100.0, law=ForceLaw(1.0, 1.0))
@@ -95,24 +95,26 @@ def stopped_by_hand_at(depth_mm, breaks=lambda station: None, case=QUICK):
 
         with pytest.raises(DeviceError) as caught:
             record(bench, "S1", PROFILE, True, on_wait=on_wait)
-        assert tells_truth(caught.value, bench, station), str(caught.value)
+        assert is_report_true(caught.value, bench, station), str(caught.value)
         return caught.value, station.rig.carriage_mm - case.surface_mm
 
 
 def test_a_stage_whose_motor_lost_its_supply_is_not_called_lifted():
-    error, stands_mm = stopped_by_hand_at(1.5, lambda station: station.rig.cut_motor())
-    left = error.reason.values["state"]
-    assert stands_mm > 1.4 and code_of(error) == "left.stays"
-    assert left.values["force_N"] == pytest.approx(stands_mm, abs=0.1)  # 1 N/mm
-    assert left.values["at_mm"] == pytest.approx(QUICK.approach_mm, abs=0.05)  # where its controller believes it to be
+    error, stopped_mm = stopped_by_hand_at(1.5, lambda station: station.rig.cut_motor())
+    lift_state = error.reason.values["state"]
+    assert stopped_mm > 1.4 and code_of(error) == "left.stays"
+    assert lift_state.values["force_N"] == pytest.approx(stopped_mm, abs=0.1)  # 1 N/mm
+    assert lift_state.values["at_mm"] == pytest.approx(
+        QUICK.approach_mm, abs=0.05
+    )  # where its controller believes it to be
 
 
 def test_a_stage_whose_force_has_fallen_to_rest_is_called_lifted():
-    error, stands_mm = stopped_by_hand_at(1.5)
-    assert stands_mm < 0.0 and code_of(error) == "left.lifted"
+    error, stopped_mm = stopped_by_hand_at(1.5)
+    assert stopped_mm < 0.0 and code_of(error) == "left.lifted"
 
 
-def test_without_a_force_to_confirm_it_a_lift_is_told_and_not_confirmed():
+def test_without_a_force_to_confirm_it_a_lift_is_reported_and_not_confirmed():
     error, _ = stopped_by_hand_at(1.5, lambda station: station.force_wire.unplug())
     assert code_of(error) == "left.told"
 
@@ -127,20 +129,20 @@ def test_a_cell_that_died_confirms_no_lift_of_a_stage_that_still_stands_on_the_u
         lies(station)
         dies(station)
 
-    error, stands_mm = stopped_by_hand_at(1.5, breaks)
-    assert code_of(error) == ("left.told" if stands_mm > 0.0 else "left.lifted")
+    error, stopped_mm = stopped_by_hand_at(1.5, breaks)
+    assert code_of(error) == ("left.told" if stopped_mm > 0.0 else "left.lifted")
 
 
 def test_a_stage_that_touches_nothing_is_called_lifted_where_cell_and_sensor_are_at_rest():
-    error, stands_mm = stopped_by_hand_at(-0.3)
-    assert stands_mm < 0.0 and code_of(error) == "left.lifted"
+    error, stopped_mm = stopped_by_hand_at(-0.3)
+    assert stopped_mm < 0.0 and code_of(error) == "left.lifted"
     error, _ = stopped_by_hand_at(-0.3, lambda station: station.readout_wire.unplug())
     assert code_of(error) == "left.told"
 
 
 def test_a_late_cell_confirms_a_lift_only_once_it_tells_of_now():
     late = replace(QUICK, cell_late_s=0.3, latency_s=0.3)
-    error, stands_mm = stopped_by_hand_at(1.5, lambda station: station.rig.cut_motor(), late)
-    assert stands_mm > 1.4 and code_of(error) == "left.stays"
-    error, stands_mm = stopped_by_hand_at(1.5, case=late)
-    assert stands_mm < 0.0 and code_of(error) == "left.lifted"
+    error, stopped_mm = stopped_by_hand_at(1.5, lambda station: station.rig.cut_motor(), late)
+    assert stopped_mm > 1.4 and code_of(error) == "left.stays"
+    error, stopped_mm = stopped_by_hand_at(1.5, case=late)
+    assert stopped_mm < 0.0 and code_of(error) == "left.lifted"

@@ -14,7 +14,7 @@ from softcal.station.tasks.durations import HOMING
 from softcal.station.testing.faults import FAULTS
 from softcal.station.testing.line import SimulatedLine
 
-STANDS_WITHIN_S = 0.5
+MAX_STOP_S = 0.5
 QUICK, ALL = FAULTS[::8], [fault for k, fault in enumerate(FAULTS) if k % 8]
 
 
@@ -30,7 +30,7 @@ def check(fault, folder, english_in):
     assert english_in(render_reason(outcome.reason, partial(text, "ko"))) == []
     # A controller homes by itself: whoever loses it in there can only wait for its end.
     if not fault.is_detected_late and fault.phase != HOMING:
-        assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= STANDS_WITHIN_S
+        assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= MAX_STOP_S
     assert outcome.largest_force_N < 14.0
 
 
@@ -52,13 +52,13 @@ def test_a_disk_that_fills_up_stops_the_stage_and_records_nothing(moment, tmp_pa
     outcome = run_with_full_disk(tmp_path, moment)
     assert "No space left" in outcome.message
     assert (outcome.record, outcome.spool) == ("none", "cut off")
-    assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= STANDS_WITHIN_S
+    assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= MAX_STOP_S
 
 
 def test_a_host_that_dies_in_mid_run_leaves_a_standing_stage_and_no_recording(tmp_path):
     outcome = run_with_dead_host(tmp_path)
     assert (outcome.record, outcome.spool) == ("none", "cut off")
-    assert 0.0 < outcome.stopped_s <= STANDS_WITHIN_S
+    assert 0.0 < outcome.stopped_s <= MAX_STOP_S
 
 
 def test_there_are_as_many_faults_as_promised():

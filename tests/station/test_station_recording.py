@@ -71,12 +71,12 @@ def test_every_dialect_records_the_same_unit(stage, force):
 
 
 @pytest.mark.parametrize(
-    ("profile", "facts"), [(ramps([2.0], 11.0), "11 mm/s.* 10 mm/s"), (ramps([9.0], 2.0), " 9 mm.* 8 mm")]
+    ("profile", "message"), [(ramps([2.0], 11.0), "11 mm/s.* 10 mm/s"), (ramps([9.0], 2.0), " 9 mm.* 8 mm")]
 )
-def test_a_profile_beyond_the_bounds_moves_nothing(profile, facts):
+def test_a_profile_beyond_the_bounds_moves_nothing(profile, message):
     with open_simulated_bench(seed=1) as (bench, station):
         at_mm = station.axis.position_mm
-        with pytest.raises(CommandRefused, match=facts):
+        with pytest.raises(CommandRefused, match=message):
             record(bench, "A0", profile, with_reference=True)
         station.world.sleep_s(1.0)
         assert station.axis.position_mm == at_mm
@@ -115,6 +115,6 @@ def test_several_units_are_pressed_at_once_each_on_its_channel():
     # Contact was searched with the first unit, so the true surface is a little off for all of them alike.
     for channel, unit in enumerate(units):
         _, output_V = simulate(unit, recording.t_s, recording.stage_mm + surface_mm)
-        own = recording.output_recording(channel, f"U{channel}")
-        assert own.serial == f"U{channel}"
-        assert np.sqrt(np.mean((own.output - output_V) ** 2)) < 0.01
+        unit_recording = recording.output_recording(channel, f"U{channel}")
+        assert unit_recording.serial == f"U{channel}"
+        assert np.sqrt(np.mean((unit_recording.output - output_V) ** 2)) < 0.01

@@ -28,9 +28,9 @@ def test_a_stage_goes_on_as_far_as_its_motion_adds_up_to(speed_mm_s):
     assert REACTION.overrun_mm(speed_mm_s) == pytest.approx(gone_mm(speed_mm_s, 0.25, 40.0), rel=1e-4)
 
 
-@pytest.mark.parametrize("room_mm", [1e-6, 0.01, 0.3, 5.0])
-def test_the_fastest_speed_uses_the_whole_room_and_no_more(room_mm):
-    assert REACTION.overrun_mm(REACTION.fastest_mm_s(room_mm)) == pytest.approx(room_mm, rel=1e-9)
+@pytest.mark.parametrize("distance_mm", [1e-6, 0.01, 0.3, 5.0])
+def test_the_fastest_speed_uses_the_whole_stopping_distance_and_no_more(distance_mm):
+    assert REACTION.overrun_mm(REACTION.fastest_mm_s(distance_mm)) == pytest.approx(distance_mm, rel=1e-9)
 
 
 def test_without_room_a_stage_does_not_move():
@@ -75,15 +75,15 @@ def test_the_force_that_a_dead_host_leaves_counts_what_it_had_not_seen_and_what_
 @pytest.mark.parametrize("ahead_mm", [float("inf"), 0.4, 0.03])
 @pytest.mark.parametrize("distance_mm", [0.0005, 0.7, 5.0])
 @pytest.mark.parametrize("dies_at", [0.0, 0.3, 0.9])
-def test_a_stage_that_is_fed_never_runs_on_further_than_is_said(distance_mm, ahead_mm, dies_at):
+def test_a_stage_that_is_fed_never_runs_on_further_than_is_reported(distance_mm, ahead_mm, dies_at):
     speed_mm_s, acceleration_mm_s2 = 3.0, 40.0
     path = Trapezoid(1.0, 1.0 + distance_mm, speed_mm_s, acceleration_mm_s2)
-    feed, told_mm, ran_mm = PieceFeed(path, ahead_mm, 0.0), 1.0, 0.0
+    feed, reported_mm, ran_mm = PieceFeed(path, ahead_mm, 0.0), 1.0, 0.0
     for now_s in np.arange(0.0, dies_at * path.duration_s + 1e-9, 0.005):
         while (due_mm := feed.due_mm(float(now_s))) is not None:
-            told_mm = due_mm
+            reported_mm = due_mm
             feed.mark_sent(float(now_s))
-        ran_mm = max(ran_mm, told_mm - float(path.position_mm(now_s)))
+        ran_mm = max(ran_mm, reported_mm - float(path.position_mm(now_s)))
     move = Move(1.0 + distance_mm, speed_mm_s, ahead_mm=ahead_mm)
     assert ran_mm <= runs_on_mm(move, acceleration_mm_s2) + 0.001 + 1e-9
     assert ran_mm <= speed_mm_s * runs_on_s(speed_mm_s, acceleration_mm_s2)
@@ -107,7 +107,9 @@ def test_a_cell_whose_delay_nobody_stated_is_taken_to_be_as_late_as_a_station_fi
         stage = SimpleNamespace(acceleration_mm_s2=40.0)
         return bounds_of(SimpleNamespace(config=config, force=reader, stage=stage)).reaction.delay_s
 
-    stated, unstated = (SimpleNamespace(latency_s=0.03, is_latency_declared=known) for known in (True, False))
-    assert delay_s(stated) == pytest.approx(1 / 50.0 + 0.03 + REACTION_S)
+    declared, unstated = (
+        SimpleNamespace(latency_s=0.03, is_latency_declared=is_declared) for is_declared in (True, False)
+    )
+    assert delay_s(declared) == pytest.approx(1 / 50.0 + 0.03 + REACTION_S)
     assert delay_s(unstated) == pytest.approx(1 / 50.0 + LATEST_S + REACTION_S)
     assert delay_s(None, None) == pytest.approx(LATEST_S + REACTION_S)

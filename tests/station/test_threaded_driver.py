@@ -130,7 +130,7 @@ def test_a_library_that_repeats_its_last_reading_for_ever_is_stale(reader, libra
     assert isinstance(until(lambda: fault(reader)), NoReply)
 
 
-def test_the_librarys_own_error_is_said_in_one_sentence(reader, library):
+def test_the_librarys_own_error_is_reported_in_one_sentence(reader, library):
     library.give(RuntimeError("LJME_RECONNECT_FAILED"))
     error = until(lambda: fault(reader))
     assert "meter" in str(error) and "RuntimeError: LJME_RECONNECT_FAILED" in str(error) and "\n" not in str(error)

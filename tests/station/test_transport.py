@@ -111,9 +111,9 @@ def test_a_device_that_closes_its_socket_is_gone(echo):
     link.write(b"x\n")
     link.next_line(0.5)
     wire.unplug()
-    with pytest.raises(NoReply) as gone:
+    with pytest.raises(NoReply) as caught:
         link.next_line(1.0)
-    assert gone.value.reason.code == "rig.gone"
+    assert caught.value.reason.code == "rig.gone"
 
 
 def test_what_was_sent_before_the_end_is_still_read():
@@ -218,7 +218,7 @@ def test_a_late_answer_is_not_taken_for_the_next(tmp_path, monkeypatch):
 
 def test_a_session_that_is_given_up_while_a_question_is_open_ends_quietly(monkeypatch):
     pyvisa = pytest.importorskip("pyvisa")
-    answered = threading.Event()
+    has_answered = threading.Event()
 
     class Session:
         """Keeps the thread that asks for longer than `close` waits for it."""
@@ -227,7 +227,7 @@ def test_a_session_that_is_given_up_while_a_question_is_open_ends_quietly(monkey
             pass
 
         def read_raw(self):
-            answered.wait(10)
+            has_answered.wait(10)
             raise pyvisa.errors.VisaIOError(pyvisa.constants.StatusCode.error_timeout)
 
         def clear(self):
@@ -243,7 +243,7 @@ def test_a_session_that_is_given_up_while_a_question_is_open_ends_quietly(monkey
     wire = VisaTransport("USB0::1::2::3::INSTR")
     wire.write(b"?")
     wire.close()
-    answered.set()
+    has_answered.set()
     [asking] = [thread for thread in threading.enumerate() if thread.name.startswith("VISA USB0")] or [None]
     if asking is not None:
         asking.join(10)

@@ -19,37 +19,37 @@ UNKNOWN = replace(SOFT, latency_s=UNKNOWN_S)
 PROFILE = ramps([2.5, 2.5], 4.0, rest_s=0.5)
 
 
-def pressed(case, profile=PROFILE):
+def press_two_units(case, profile=PROFILE):
     """Press two units one after the other; return each one's progress: (phase, fraction, time) as it was told."""
-    told = ([], [])
+    reports = ([], [])
     with open_rig(case) as (bench, station):
-        for one in told:
+        for one in reports:
             began_s = station.world.now_s()
             record(bench, "S1", profile, True, lambda p, one=one: one.append((p.phase, p.fraction, p.t_s)))
             one.append(("", 1.0, station.world.now_s() - began_s))
-    return told
+    return reports
 
 
 @pytest.mark.parametrize("case", [SOFT, RIGID, UNKNOWN])
-def test_progress_never_runs_back_and_a_unit_takes_no_longer_than_is_said(case):
-    first, second = pressed(case)
+def test_progress_never_runs_back_and_a_unit_takes_no_longer_than_is_reported(case):
+    first, second = press_two_units(case)
     for one in (first, second):
         fractions = [fraction for _, fraction, _ in one]
         assert fractions == sorted(fractions) and fractions[-1] == 1.0
     with open_rig(case) as (bench, _):
-        said_s = unit_s(bench.config, bounds_of(bench), PROFILE)
-    assert 0.3 * said_s < second[-1][2] < 1.1 * said_s
+        predicted_s = unit_s(bench.config, bounds_of(bench), PROFILE)
+    assert 0.3 * predicted_s < second[-1][2] < 1.1 * predicted_s
 
 
 def test_the_second_unit_takes_at_most_half_again_as_long_as_the_pressing_itself():
     profile = unit_profile(np.random.default_rng(0), 25.0)
-    _, second = pressed(SOFT, profile)
+    _, second = press_two_units(SOFT, profile)
     assert second[-1][2] <= 1.5 * profile.duration_s
 
 
 @pytest.mark.long
 def test_a_slow_press_is_as_fast_as_the_force_so_far_allows():
-    first, _ = pressed(RIGID)
+    first, _ = press_two_units(RIGID)
     took_s = max(t for phase, _, t in first if phase == PROBING) - min(t for phase, _, t in first if phase == PROBING)
     with open_rig(RIGID) as (bench, _):
         slowest_s = PROFILE.deepest_mm / bounds_of(bench).unknown_mm_s
@@ -57,7 +57,7 @@ def test_a_slow_press_is_as_fast_as_the_force_so_far_allows():
 
 
 @pytest.mark.long
-def test_a_hard_layer_that_a_slow_press_meets_half_way_is_felt_from_the_top_and_pressed():
+def test_a_hard_layer_that_a_slow_press_meets_half_way_is_searched_from_the_top_and_pressed():
     hard = replace(RIGID, law=ForceLaw(0.4, 1.0, stop_mm=0.9, stop_N_mm=5.0))
     with open_rig(hard) as (bench, station):
         recording = record(bench, "S1", ramps([2.0, 2.0], 1.0, rest_s=0.5), True)
@@ -67,15 +67,17 @@ def test_a_hard_layer_that_a_slow_press_meets_half_way_is_felt_from_the_top_and_
 
 def test_the_self_test_says_the_seconds_a_unit_takes_and_what_would_shorten_them():
     with open_rig(replace(RIGID, latency_s=UNKNOWN_S)) as (bench, _):
-        found = self_test(bench, may_move=False, profile=PROFILE)
+        findings = self_test(bench, may_move=False, profile=PROFILE)
         bounds = bounds_of(bench)
         all_s = unit_s(bench.config, bounds, PROFILE)
         assert {key for key, _, shorter_s in shorter(bench.config, bounds, PROFILE) if shorter_s < all_s} == {
             "latency_s", "stiffest_N_mm", "force_N",
         }  # fmt: skip
-    said = [finding.value.values for finding in found if finding.value.code == "found.unit_seconds"]
-    assert [values["all_s"] for values in said] == [all_s] and said[0]["stiffest_N_mm"] == RIGID.stiffest_N_mm
-    assert sum(finding.value.code == "found.shorter" for finding in found) == 3
+    reason_values = [finding.value.values for finding in findings if finding.value.code == "found.unit_seconds"]
+    assert [values["all_s"] for values in reason_values] == [all_s] and reason_values[0][
+        "stiffest_N_mm"
+    ] == RIGID.stiffest_N_mm
+    assert sum(finding.value.code == "found.shorter" for finding in findings) == 3
 
 
 def test_each_shortening_does_what_it_promises():
@@ -89,6 +91,6 @@ def test_each_shortening_does_what_it_promises():
 
 def test_a_stage_that_must_be_homed_is_planned_for():
     with open_rig(SOFT) as (bench, _):
-        known = phase_seconds(bench.config, bounds_of(bench), PROFILE, bench.config.fixture.approach_mm)
+        homed_seconds = phase_seconds(bench.config, bounds_of(bench), PROFILE, bench.config.fixture.approach_mm)
         unknown = phase_seconds(bench.config, bounds_of(bench), PROFILE, None)
-    assert sum(known.values()) < sum(unknown.values())
+    assert sum(homed_seconds.values()) < sum(unknown.values())

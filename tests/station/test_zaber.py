@@ -113,8 +113,8 @@ def test_a_speed_that_no_setting_can_hold_is_never_sent(driver):
 def test_out_of_range_sends_nothing(driver):
     device, _, stage = driver
     device.home()
-    for move, facts in ((Move(41.0, 4.0), r"41 mm .*\[0, 40\] mm"), (Move(5.0, 400.0), "400 mm/s")):
-        with pytest.raises(CommandRefused, match=facts):
+    for move, message in ((Move(41.0, 4.0), r"41 mm .*\[0, 40\] mm"), (Move(5.0, 400.0), "400 mm/s")):
+        with pytest.raises(CommandRefused, match=message):
             device.begin(move)
     assert not stage.axis.is_moving
 

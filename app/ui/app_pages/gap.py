@@ -22,7 +22,7 @@ from softcal.app.views.gap import Report
 from softcal.core.orders import RunState
 from softcal.db.queues.job_board import Job
 
-METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
+METADATA_DEFAULTS = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
 ICONS = {
     "no_gap": "check_circle",
     "explained": "lightbulb",
@@ -135,7 +135,7 @@ def _add(is_first: bool) -> None:
             name = str(left.text_input(translate("gap.name"), placeholder="rig-7"))
             serial = str(right.text_input(translate("column.serial"), placeholder="A17"))
             values: dict[str, object] = {"serial": serial.strip()}
-            for column, (key, default) in zip(st.columns(len(METADATA)), METADATA, strict=True):
+            for column, (key, default) in zip(st.columns(len(METADATA_DEFAULTS)), METADATA_DEFAULTS, strict=True):
                 min_value = 1 if key == "adc_bits" else type(default)(1e-3)
                 values[key] = column.number_input(key, value=default, min_value=min_value)
             sensors, sensor_label = ("pressure", "strain"), label_formatter("gap.sensor")

@@ -20,7 +20,9 @@ STYLE = f"""<style>
 BELOW = {"lot": "lots", "unit": "lots"}
 """Pages without a place in the bar → the one of the bar that they belong to."""
 
-OPEN = '<style>[data-testid=stTopNavLink][href$="/{page}"] {{ background: rgba(127, 140, 153, 0.22) }}</style>'
+OPEN_PAGE_STYLE = (
+    '<style>[data-testid=stTopNavLink][href$="/{page}"] {{ background: rgba(127, 140, 153, 0.22) }}</style>'
+)
 WITHOUT_SEARCH = ("line",)
 """Pages whose own field takes what is typed."""
 
@@ -29,7 +31,7 @@ def draw_bar(page: str) -> None:
     """Draw the search and the person in the bar, and what the search found above the page."""
     text, is_submitted = "", st.session_state.pop(f"{KEY}-asked", "")
     with st.container(key="bar", horizontal=True, horizontal_alignment="right", vertical_alignment="center"):
-        st.html(STYLE + (OPEN.format(page=BELOW[page]) if page in BELOW else ""))
+        st.html(STYLE + (OPEN_PAGE_STYLE.format(page=BELOW[page]) if page in BELOW else ""))
         if page not in WITHOUT_SEARCH:
             options: Any = {"placeholder": translate("bar.search"), "label_visibility": "collapsed", "type": "search"}
             label, icon = translate("bar.search.what"), ":material/search:"

@@ -136,7 +136,7 @@ def _lot_fields(files: Sequence[Path], content: pd.DataFrame, columns: Columns) 
         "output_unit": third.text_input(translate("source.output_unit"), "V", key="new-lot-output-unit"),
     }
     audit = fourth.toggle(translate("new_lot.audit"), True, help=translate("new_lot.audit.help"), key="new-lot-audit")
-    lot_fields = {name: str(fact).strip() for name, fact in lot_fields.items()}
+    lot_fields = {name: str(value).strip() for name, value in lot_fields.items()}
     return lot_fields | {"source": source, "limit_rmse": limit}, audit
 
 
@@ -243,9 +243,9 @@ def draw_rig() -> None:
         return
     with step("source", 3):
         source = newest_source(registry(), lot.id)
-        pressed = registry().recordings.of_lot(lot.id, kind="source")[-1].added_at
+        pressed_at = registry().recordings.of_lot(lot.id, kind="source")[-1].added_at
         numbers([(translate(key), value, None) for key, value in source_values(source).items()], narrowest_px=235)
-        st.caption(translate("source.look.how", made=format_instant(pressed)))
+        st.caption(translate("source.look.how", made=format_instant(pressed_at)))
         if rest_may_follow():
             left, right = st.columns(2)
             with left:

@@ -35,7 +35,7 @@ def draw_account() -> None:
     sign_in_panel()
 
 
-NEW = User("", "operator", True, 0)
+NEW_PERSON = User("", "operator", True, 0)
 
 
 def draw_people() -> None:
@@ -65,7 +65,7 @@ def draw_people() -> None:
         chosen = st.selectbox(
             translate("people.who"), ["", *by_name], format_func=lambda name: name or translate("people.new")
         )
-        user = by_name.get(chosen, NEW)
+        user = by_name.get(chosen, NEW_PERSON)
         # Keys carry the version, so that the fields show what is stored after each change.
         mark = f"{user.name}-{user.version}"
         name = user.name or str(st.text_input(translate("sign_in.name"), key=f"people-name-{mark}")).strip()
@@ -79,7 +79,7 @@ def draw_people() -> None:
         def pins() -> None:
             nonlocal pin, again
             secret: dict[str, Any] = {"type": "password", "autocomplete": "new-password"}
-            label = translate("sign_in.new_pin") if user is NEW else translate("people.pin")
+            label = translate("sign_in.new_pin") if user is NEW_PERSON else translate("people.pin")
             pin = st.text_input(label, key=f"people-pin-{mark}", **secret)
             again = st.text_input(translate("sign_in.pin_again"), key=f"people-again-{mark}", **secret)
 
@@ -97,7 +97,7 @@ def draw_people() -> None:
             finish("people", translate("people.saved", name=name))
 
 
-PARTS = {"laboratory": laboratory.Party, "customer": laboratory.Party, "person": laboratory.Person}
+SECTIONS = {"laboratory": laboratory.Party, "customer": laboratory.Party, "person": laboratory.Person}
 
 
 def draw_laboratory() -> None:
@@ -111,7 +111,7 @@ def draw_laboratory() -> None:
     cells = {entry.cell_serial: entry for entry in registry().stations.certificates()}
     values_by_part: dict[str, dict[str, str]] = {}
     with st.form("laboratory", border=False):
-        for name in PARTS:
+        for name in SECTIONS:
             st.markdown(f"**{translate(f'laboratory.{name}')}**")
             part, values_by_part[name] = getattr(stored, name), {}
             names = [field.name for field in fields(part)]
@@ -143,7 +143,7 @@ def draw_laboratory() -> None:
             return
     permit("set_up")
     with show_refusals():
-        changed_parts: dict[str, Any] = {name: PARTS[name](**values) for name, values in values_by_part.items()}
+        changed_parts: dict[str, Any] = {name: SECTIONS[name](**values) for name, values in values_by_part.items()}
         changed_parts["conditions"] = replace(conditions, temperature_C=temperature_C, humidity_pct=humidity_pct)
         if entry := cells.get(chosen):
             same = ("laboratory", "issued_on", "due_on", "uncertainty_N")

@@ -46,7 +46,7 @@ from softcal.core.profiles import BUILT_IN
 from softcal.station.devices.config import FixtureConfig, SafetyConfig
 from softcal.station.wire.link import available_ports
 
-RUNS = 25
+MAX_RUNS = 25
 POLL_S = 2.0
 RIGS = ("ports", "file", "simulated")
 MARKS = {True: "✓", False: "✕"}
@@ -71,7 +71,7 @@ def draw_state() -> None:
                 translate("column.remark"): localize(progress.message),
                 translate("column.actor"): order.actor,
             }
-            for order, progress in registry().order_queue.runs(station, RUNS)
+            for order, progress in registry().order_queue.runs(station, MAX_RUNS)
         ]
         table(rows, translate("station.runs.none"))
     st.header(translate("station.setup"))

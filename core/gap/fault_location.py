@@ -19,7 +19,7 @@ from softcal.core.gap.fit import Map, form_of
 from softcal.core.gap.model import Block, Fit
 from softcal.core.gap.twin_reach import dither_of
 from softcal.core.messages.reason import Reason, reason
-from softcal.core.profiles import pressed
+from softcal.core.profiles import describe_profile
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import ChainStage, SearchTarget
@@ -81,6 +81,7 @@ def suspects(maps: tuple[Map, ...], quiet: float, sensor_type: SensorType = "pre
 
 
 def conditions_of_presses(result: Fit, blocks: list[Block]) -> dict[Reason, Array]:
+    """Return (n,) per condition of pressing whether a row of the blocks was recorded under it."""
     case = result.problem.case
     runs = [case.runs[b.run] for b in blocks]
     drive = np.concatenate([_drive(run) for run in runs])
@@ -110,7 +111,7 @@ def conditions_of_presses(result: Fit, blocks: list[Block]) -> dict[Reason, Arra
     for k, run in enumerate(runs):
         name = reason("gap.regime.run", run=run.name)
         if run.profile:
-            name = reason("gap.regime.run_pressed", run=run.name, pressed=pressed(run.profile))
+            name = reason("gap.regime.run_pressed", run=run.name, pressed=describe_profile(run.profile))
         conditions[name] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
     return conditions
 
@@ -152,7 +153,7 @@ def _tone(result: Fit, block: Block) -> Tone | None:
     The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance
     of about m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
     """
-    run, config = result.problem.case.runs[block.run], result.problem.method.place
+    run, config = result.problem.case.runs[block.run], result.problem.method.fault_location
     residual = result.residual[block.rows]
     if run.kind != "press":
         return None
@@ -185,7 +186,7 @@ def loose_noise(result: Fit) -> LooseNoise | None:
     A clock that jitters makes fast samples noisier. A bad contact or a disturbed line throws single
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
-    problem, config = result.problem, result.problem.method.place
+    problem, config = result.problem, result.problem.method.fault_location
     if dither_of(problem) is not None:
         return None
     rows = zip(result.effects, result.effect_values, strict=True)
@@ -196,7 +197,7 @@ def loose_noise(result: Fit) -> LooseNoise | None:
     is_near_mains = tone is not None and any(
         tone.channel == "output_V"
         and abs(tone.frequency_Hz - frequency_Hz) < config.breathes_Hz
-        and tone.rms * problem.noise_floor("output_V") < config.most_of_line * amplitude / np.sqrt(2.0)
+        and tone.rms * problem.noise_floor("output_V") < config.max_line_share * amplitude / np.sqrt(2.0)
         for amplitude, frequency_Hz, *_ in lines
     )
     if tone is not None and not is_near_mains:
@@ -211,7 +212,7 @@ def loose_noise(result: Fit) -> LooseNoise | None:
 
 
 def _loose_output(result: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
-    problem, runs, config = result.problem, result.problem.case.runs, result.problem.method.place
+    problem, runs, config = result.problem, result.problem.case.runs, result.problem.method.fault_location
     blocks = [b for b in problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
     if not blocks:
         return None
@@ -249,7 +250,7 @@ def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     """Return the stages the gap may sit in, the likeliest first; none where no map shows a gap."""
     pointed = suspects(maps, base.problem.method.structure.quiet, base.problem.case.readout.sensor_type)
     loose, loudest = loose_noise(base), max((m.structure.z for m in maps), default=0.0)
-    if loose is not None and loudest < base.problem.method.place.faint_z:
+    if loose is not None and loudest < base.problem.method.fault_location.faint_z:
         return (loose.stage, *(stage for stage in pointed if stage != loose.stage))
     first: list[ChainStage] = []
     if "motion" in pointed and "transduction" not in pointed:
@@ -265,7 +266,7 @@ def _rate(result: Fit, block: Block) -> Array:
 
 
 def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
-    config = base.problem.method.place
+    config = base.problem.method.fault_location
     blocks = base.problem.blocks_of("output_V", "press")
     if not blocks:
         return "transduction"
@@ -274,17 +275,17 @@ def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
     rate = np.concatenate([_rate(base, b) for b in blocks])
     excess = max(float(error @ error) - len(error), 1.0)
     share, swings = _static(error, output_V, excess, config.bins)
-    if share > config.most:
+    if share > config.min_share:
         return "electronics" if swings >= config.swings else "transduction"
     if loose is not None:
         return loose.stage
     # A shift in time errs by the slope of the output, to first order.
-    if float(error @ rate) ** 2 / float(rate @ rate) > config.most * excess:
+    if float(error @ rate) ** 2 / float(rate @ rate) > config.min_share * excess:
         return "acquisition"
     # At rest neither pad nor channel acts: what errs there comes from behind them.
     at_rest = output_V < output_V.min() + 0.02 * np.ptp(output_V)
     mean = excess / len(error)
-    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > config.most * mean:
+    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > config.min_share * mean:
         return "electronics"
     return "transduction"
 
@@ -307,7 +308,7 @@ def _is_motion(base: Fit) -> bool:
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
-    config, errors, travels, jumps, trends, sets = base.problem.method.place, [], [], 0.0, 0.0, 0.0
+    config, errors, travels, jumps, trends, sets = base.problem.method.fault_location, [], [], 0.0, 0.0, 0.0
     for block in blocks:
         travel = np.asarray(base.problem.case.runs[block.run].stage_mm)
         depth_mm = np.maximum(0.0, travel - base.base.u0_mm)
@@ -332,9 +333,9 @@ def _is_motion(base: Fit) -> bool:
     every = np.concatenate(errors)
     excess = max(float(every @ every) - len(every), 1.0)
     share, swings = _static(every, np.concatenate(travels), excess, config.bins)
-    if share > config.most and swings >= config.swings:
+    if share > config.min_share and swings >= config.swings:
         return True
-    return jumps > config.most * excess and jumps > 1.2 * max(sets, trends)
+    return jumps > config.min_share * excess and jumps > 1.2 * max(sets, trends)
 
 
 def explained_twin(result: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
