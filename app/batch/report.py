@@ -10,7 +10,7 @@ from softcal.app.calibration.changes import Changes
 from softcal.app.calibration.lot_fit import LotFitPlan
 from softcal.app.files.unused_input import UnusedInput
 from softcal.app.texts.reason_groups import MAX_NAMES, name_serials
-from softcal.core.messages.reason import SUSPECT_AUDIT, Reason
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 from softcal.db.entries import UnitResult
@@ -64,13 +64,9 @@ def unused_audits(audit_paths: Mapping[str, Path], units: Sequence[UnitResult]) 
     items = []
     for unit in units:
         path = audit_paths.get(unit.serial)
-        if path is None or (
-            unit.is_audited and not any(cause.code.startswith(SUSPECT_AUDIT) for cause in unit.reasons)
-        ):
+        if path is None or unit.is_audited:
             continue
-        cause = next(
-            (one for one in unit.reasons if one.code == "audit.unreadable" or one.code.startswith(SUSPECT_AUDIT)), None
-        )
+        cause = None if unit.state is None else unit.state.suspect_audit or unit.state.unreadable_audit
         items.append(UnusedInput("audit", unit.serial, cause or unit.reasons[0], f"audit/{path.name}"))
     return items
 

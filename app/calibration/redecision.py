@@ -20,7 +20,7 @@ def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor:
     Raises:
         InputError: nobody suspects it, or no reason was given.
     """
-    status = registry.pages.unit_statuses(lot_id, [serial]).get(serial)
+    status = registry.pages.unit_statuses(lot_id, [serial], has_stale=True).get(serial)
     state = None if status is None else status.state
     if state is None or state.audit is None or state.suspect_audit is None:
         raise InputError(f"the audit of {serial} in lot {lot_id!r} is not in doubt; there is nothing to confirm")

@@ -182,6 +182,8 @@ def outline_lot(registry: Registry, lot_id: str) -> LotStatus:
 
 def _rows(registry: Registry, lot_id: str, serials: Sequence[str], units: Mapping[str, UnitResult]) -> list[UnitInLot]:
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
+    # By another limit a unit is decided on anew, but what its audit may be of stays the same.
+    audited = _states(registry.pages.unit_statuses(lot_id, sorted(audits), has_stale=True))
     rows = []
     for serial in serials:
         unit, audit, had_passed = units.get(serial), audits.get(serial), serial in passed
@@ -189,11 +191,12 @@ def _rows(registry: Registry, lot_id: str, serials: Sequence[str], units: Mappin
         if unit is None:
             rows.append(UnitInLot(serial, had_passed=had_passed, audited_at=at))
             continue
-        state = unit.state
+        state, suspect = unit.state, audited[serial].suspect_audit if serial in audited else None
         measured = None if state is None or state.scores is None else state.scores.after.rmse
         forecast = None if state is None else state.fit.forecast.rmse
         is_measured = state is not None and state.decision.is_audited
-        rows.append(UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, forecast, measured))
+        told = unit.verdict, unit.reasons, is_measured, had_passed, at, forecast, measured, suspect
+        rows.append(UnitInLot(serial, *told))
     return rows
 
 

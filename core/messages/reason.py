@@ -18,9 +18,6 @@ from softcal.core.messages.sentences import UNIT_SENTENCES
 
 Value = Union[str, float, int, "Reason"]
 
-SUSPECT_AUDIT = "doubt."
-"""How the codes of reasons begin that set an audit aside."""
-
 PLAIN = "plain"
 """Code of a sentence that is quoted, from a file or a device."""
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
-from softcal.core.messages.reason import SUSPECT_AUDIT, Reason
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Limit
 
@@ -31,6 +31,7 @@ class UnitInLot:
     Args:
         audited_at: when its newest audit came into the registry, UTC; None without one, whether it counts or not.
         forecast_rmse, measured_rmse: in the reference unit; None where there is none.
+        suspect_reason: why its audit is set aside; None where it is not.
     """
 
     serial: str
@@ -41,6 +42,7 @@ class UnitInLot:
     audited_at: datetime | None = None
     forecast_rmse: float | None = None
     measured_rmse: float | None = None
+    suspect_reason: Reason | None = None
 
     @property
     def disposition(self) -> Disposition:
@@ -55,11 +57,6 @@ class UnitInLot:
     def is_withdrawn(self) -> bool:
         """Whether it was released once and is no more: its files may be with somebody."""
         return self.had_passed and self.verdict != "pass"
-
-    @property
-    def suspect_reason(self) -> Reason | None:
-        """Why its audit is set aside; None where it is not."""
-        return next((reason for reason in self.reasons if reason.code.startswith(SUSPECT_AUDIT)), None)
 
 
 @dataclass(frozen=True)
