@@ -30,7 +30,7 @@ def print_changes(changes: "Changes") -> None:
         print_recalls(changes.recalled)
     counts = ", ".join(f"{count} {word}" for word, count in changes.counts.items() if count)
     withdrawn, released = len(changes.withdrawn), len(changes.released)
-    print(f"withdraws {withdrawn} released units, releases {released}; then: {counts or 'no unit has a verdict'}")
+    print(f"units withdrawn: {withdrawn}, released: {released}; then: {counts or 'no unit has a verdict'}")
 
 
 RECALL_HEADER = ("lot", "serial", "revision on the device", "files in", "computer", "now", "why")

@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from softcal.app.cli.confirm import MAX_PRINTED, NOT_CONFIRMED, is_confirmed, print_changes, withdraw_files
+from softcal.app.cli.confirm import NOT_CONFIRMED, is_confirmed, print_changes, withdraw_files
 from softcal.app.cli.lot_audit import add_audits
 from softcal.app.cli.lot_fit import add_fit
 from softcal.app.cli.options import (
@@ -20,7 +20,7 @@ from softcal.app.cli.options import (
     network_config,
     registry_of,
 )
-from softcal.app.output import echo, print_table
+from softcal.app.output import echo, print_reasons, print_table
 from softcal.app.texts.catalogue import format_local_instant
 from softcal.core.errors import InputError, NotCalibrated, RegistryReadOnly
 from softcal.core.quality.line_rules import LETTERS, RETESTS
@@ -110,7 +110,9 @@ def _release(options: argparse.Namespace) -> int:
     from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
+    from softcal.app.texts.reason_groups import reasons_by_verdict
     from softcal.core.quality.lot_status import Disposition
+    from softcal.core.unit.verdict import VERDICTS
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options) as registry:
@@ -149,10 +151,8 @@ def _release(options: argparse.Namespace) -> int:
         print(f"sample: {statement.sample.render(partial(text, 'en'))}")
         print(f"released by sample: {', '.join(unit.serial for unit in status.on(Disposition.SAMPLED)) or 'none'}")
         for name, units in (("waiting", status.on(Disposition.WAITING)), ("withdrawn", status.withdrawn)):
-            for unit in units[:MAX_PRINTED]:
-                print(f"{name}: {unit.serial}: {'; '.join(map(str, unit.reasons))}")
-            if len(units) > MAX_PRINTED:
-                print(f"{name}: and {len(units) - MAX_PRINTED} more; --json has all")
+            for subject, reasons in reasons_by_verdict(units, reversed(VERDICTS)):
+                print_reasons(f"{name}: {subject}", reasons)
     return DONE if all(unit.verdict == "pass" for unit in status.units) else SOME_UNIT_NOT_PASSED
 
 

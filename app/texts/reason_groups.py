@@ -4,7 +4,16 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, Value, fill_sentence
+from softcal.core.messages.figures import format_error
+from softcal.core.messages.reason import (
+    ENGLISH,
+    PLAIN,
+    VALUES_IN_LIMIT_UNIT,
+    Reason,
+    Value,
+    fill_sentence,
+    format_number,
+)
 
 MAX_NAMES = 8
 """So many units are named where a reason is of many; the table and the JSON have all."""
@@ -31,7 +40,12 @@ class _Range:
     high: float
 
     def __format__(self, spec: str) -> str:
-        low, high = f"{self.low:{spec}}", f"{self.high:{spec}}"
+        return self._between(*(format_number(end, spec) for end in (self.low, self.high)))
+
+    def beside(self, limit: float) -> str:
+        return self._between(*(format_error(end, limit) for end in (self.low, self.high)))
+
+    def _between(self, low: str, high: str) -> str:
         return low if low == high else f"{low} to {high}"
 
 
@@ -43,12 +57,10 @@ def reasons_by_verdict(units: Sequence[HasReasons], verdicts: Iterable[str]) -> 
     sections = []
     for verdict in verdicts:
         matching = [unit for unit in units if unit.verdict == verdict]
-        groups: dict[str, list[tuple[str, Reason, int]]] = {}
+        groups: dict[object, list[tuple[str, Reason, int]]] = {}
         for unit in matching:
             for rank, reason in enumerate(unit.reasons):
-                groups.setdefault(str(reason) if reason.code == PLAIN else reason.code, []).append(
-                    (unit.serial, reason, rank)
-                )
+                groups.setdefault(_sentence_of(reason), []).append((unit.serial, reason, rank))
         by_weight = sorted(groups.values(), key=lambda group: (min(rank for *_, rank in group), -len(group)))
         lines = []
         for group in by_weight:
@@ -68,20 +80,30 @@ def name_serials(serials: Collection[str]) -> str:
     return ", ".join(list(serials)[:MAX_NAMES]) + more
 
 
+def _sentence_of(reason: Reason) -> object:
+    """Return what is equal for two reasons that one sentence says: their codes, and those of their phrases."""
+    if reason.code == PLAIN:
+        return str(reason)
+    return reason.code, *(_sentence_of(value) for value in reason.values.values() if isinstance(value, Reason))
+
+
 def _render_group(reasons: Sequence[Reason]) -> str:
-    """Return one sentence for reasons of one code; of their intervals the one that holds all."""
+    """Return one sentence for reasons of one sentence; of their intervals the one that holds all."""
     values = {name: _merge_values([one.values[name] for one in reasons]) for name in reasons[0].values}
     for name, end in (("lower", "low"), ("upper", "high")):
         values |= {name: getattr(values[name], end)} if isinstance(values.get(name), _Range) else {}
+    if isinstance(limit := values.get("limit"), float):
+        values |= {
+            name: one.beside(limit) for name in VALUES_IN_LIMIT_UNIT if isinstance(one := values.get(name), _Range)
+        }
     return fill_sentence(ENGLISH[reasons[0].code], values)
 
 
 def _merge_values(values: Sequence[Value]) -> object:
     numbers = [value for value in values if isinstance(value, int | float)]
-    inner = [value for value in values if isinstance(value, Reason)]
+    phrases = [value for value in values if isinstance(value, Reason)]
     if len(numbers) == len(values):
         return numbers[0] if min(numbers) == max(numbers) else _Range(min(numbers), max(numbers))
-    if len(inner) == len(values):
-        codes = dict.fromkeys(one.code for one in inner)
-        return ", ".join(_render_group([one for one in inner if one.code == code]) for code in codes)
+    if len(phrases) == len(values):
+        return _render_group(phrases)
     return name_serials(dict.fromkeys(map(str, values)))

@@ -105,8 +105,16 @@ class _Filler(Formatter):
     """Fills a sentence; a word in the place of a number ("nan") stands as it is."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, float):
+            return format_number(value, format_spec)
         text: str = super().format_field(value, "" if isinstance(value, str) else format_spec)
         return text
+
+
+def format_number(value: float, spec: str) -> str:
+    """Return a number by a format; one that rounds to zero has no minus sign."""
+    text = format(value, spec)
+    return text if float(text.rstrip("%")) else text.replace("-", "+" if spec.startswith("+") else "")
 
 
 def fill_sentence(sentence: str, values: Mapping[str, object]) -> str:

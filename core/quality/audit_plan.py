@@ -112,9 +112,10 @@ def evaluate_audit(
     max_nonconforming, unchecked = upper - random_failed, plan.population - len(plan.random)
     bound = f"{format_limit(limit.maximum_rmse)} {limit.unit}"
     text = f"units checked: {len(plan.serials)}, of these beyond {bound}: {len(failed)}; " + (
-        f"accepted units not checked: {unchecked}, of these beyond it: {max_nonconforming} at most (95 % confidence)"
+        f"accepted units that were not drawn: {unchecked}, of these beyond it: {max_nonconforming} at most (95 %"
+        " confidence)"
         if unchecked
-        else "no accepted unit is left unchecked"
+        else "every accepted unit was drawn"
     )
     process = failing_share(len(plan.random), random_failed, CONFIDENCE)
     return LotStatement(word, failed, max_nonconforming, process, ratio, text)

@@ -57,7 +57,7 @@ def test_the_command_without_a_terminal_prints_and_changes_nothing(calibrated, c
     assert limit(calibrated, "--rmse", str(STRICT_N), "--reason", "drawing") == 2
     printed = capsys.readouterr()
     passed = sum(word == "pass" for word in before[0].values())  # type: ignore[attr-defined]
-    assert passed and f"withdraws {passed} released units" in printed.out and "--yes" in printed.err
+    assert passed and f"units withdrawn: {passed}," in printed.out and "--yes" in printed.err
     with open_registry(calibrated) as registry:
         assert contents(registry) == before
     assert limit(calibrated, "--rmse", str(STRICT_N), "--reason", "drawing", "--yes") == 0

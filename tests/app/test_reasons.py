@@ -11,11 +11,23 @@ from string import Formatter
 import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
+from softcal.app.texts.reason_groups import reasons_by_verdict
 from softcal.app.texts.reasons import PLAIN_PREFIX, PREFIX, render_plain_reason, render_reason
 from softcal.core.maps import affine_map, ends, monotone, paired
 from softcal.core.messages import reason as reasons
 from softcal.core.messages import rig_sentences
-from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, pack_reasons, plain, reason, to_stored, unpack_reasons
+from softcal.core.messages.reason import (
+    ENGLISH,
+    PLAIN,
+    Reason,
+    fill_sentence,
+    pack_reasons,
+    plain,
+    reason,
+    to_stored,
+    unpack_reasons,
+)
+from softcal.core.quality.lot_status import UnitInLot
 from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.correspondence import CorrespondenceConfig
 from softcal.core.unit.evidence import DAY, LINE
@@ -165,3 +177,21 @@ def test_a_verdict_within_a_reason_is_rendered_in_korean() -> None:
     why = reason("predicted_otherwise", verdict="fail", why=reason("dead.noise", spread=0.1, unit="V", cure="c"))
     assert "불합격" in render_reason(why, partial(text, "ko")) and "fail" not in render_reason(why, partial(text, "ko"))
     assert "predicted fail:" in render_reason(why, partial(text, "en"))
+
+
+def test_reasons_of_many_units_are_joined_only_where_one_sentence_says_both() -> None:
+    limit = Limit("N", 0.15)
+    within, close = ErrorForecast(0.05, 0.04, 0.06), ErrorForecast(0.1499, 0.1, 0.2)
+    units = [
+        UnitInLot(f"U{k}", "conditional", compare_with_limit(error, limit).reasons)
+        for k, error in enumerate((within, close, within, ErrorForecast(0.06, 0.05, 0.0701)))
+    ]
+    ((_, lines),) = reasons_by_verdict(units, ["conditional"])
+    assert len(lines) == 2 and lines[0].startswith("U0, U2, U3: ")
+    assert lines[1] == f"U1: {units[1].reasons[0]}"
+    assert "0.050 to 0.060 N" in lines[0] and "0.040 to 0.070" in lines[0], "the decimals are those of one unit"
+
+
+@pytest.mark.parametrize(("value", "spec", "expected"), [(-0.001, "+.0%", "+0%"), (-0.0001, ".2f", "0.00")])
+def test_a_number_that_rounds_to_zero_has_no_sign_of_a_loss(value: float, spec: str, expected: str) -> None:
+    assert fill_sentence(f"{{x:{spec}}}", {"x": value}) == expected

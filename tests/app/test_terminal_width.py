@@ -152,11 +152,12 @@ def test_a_reason_whose_numbers_differ_is_reported_once_with_their_range() -> No
     assert "rows: 3 to 88, in all: 1500" in line
 
 
-def test_reasons_inside_a_reason_are_grouped_by_their_kind() -> None:
+def test_reasons_with_other_reasons_inside_are_lines_of_their_own() -> None:
     units = [unit(f"A{k}", "retest", reason("inspect.of_unit", serial="S", what=dead(k))) for k in (3, 5)]
     other = reason("inspect.of_unit", serial="S", what=Reason("forecast_only"))
-    ((_, (line,)),) = listed([*units, unit("A7", "retest", other)])
-    assert "rows: 3 to 5, in all: 1500" in line and line.count("1500") == 1 and str(Reason("forecast_only")) in line
+    ((_, (joined, alone)),) = listed([*units, unit("A7", "retest", other)])
+    assert joined.startswith("A3, A5: ") and "rows: 3 to 5, in all: 1500" in joined and joined.count("1500") == 1
+    assert alone == f"A7: {other}"
 
 
 def test_audited_units_with_equal_verdicts_are_one_line() -> None:
