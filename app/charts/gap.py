@@ -97,6 +97,63 @@ def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple
         return np.where(count >= 5, np.sqrt(total / count), np.nan), edges
 
 
+def worst_channel(runs: Sequence[RunView]) -> tuple[RunView, str] | None:
+    """Return the run and the column that the base is farthest from, in units of the noise; None without runs."""
+    pairs = [(run, column) for run in runs for column in run.channels]
+    return max(pairs, key=lambda pair: rms_of(pair[0].channels[pair[1]], "base", noise=True), default=None)
+
+
+def rms_of(view: ChannelView, prediction: str, *, noise: bool = False) -> float:
+    """Return the RMS of what a prediction leaves, in the channel's unit or in units of its noise."""
+    residual = view.measured - getattr(view, prediction)
+    return float(np.sqrt(np.mean(residual**2))) / (view.noise if noise else 1.0)
+
+
+def worst_run_figure(runs: Sequence[RunView], translate: Translator, colours: Palette = LIGHT) -> go.Figure | None:
+    """Draw the run that the base is farthest from: its loop, and the residual over time beside the band of the noise.
+
+    Measured, by the refitted base and with the causes; RMS of both residuals and of the noise in the title.
+    """
+    if (worst := worst_channel(runs)) is None:
+        return None
+    run, column = worst
+    view, (times, unit) = run.channels[column], unit_of(column)
+    is_output = column == "output_V"
+    x, x_name = (run.load_N, "force_N") if is_output else (run.drive, run.drive_name)
+    sizes = [times * size for size in (rms_of(view, "base"), rms_of(view, "explained"), view.noise)]
+    decimals = decimals_of(min(sizes)) + 1
+    before, after, floor = (with_decimals(size, decimals) for size in sizes)
+    channel = channel_name(report_name(column), translate)
+    titles = [
+        translate("gap.figure.worst", run=run.name, channel=channel),
+        translate("gap.figure.worst.rms", before=before, after=after, floor=floor, unit=unit),
+    ]
+    figure = make_subplots(cols=2, subplot_titles=titles, column_widths=[0.42, 0.58], horizontal_spacing=0.1)
+    at = _thinning_indices(view.measured - view.base, COMPARED_POINTS)
+    predictions = (("base", view.base, colours.source), ("causes", view.explained, colours.mapped))
+
+    def look(of: str, colour: str) -> dict[str, Any]:
+        return {"mode": "lines", "line": {"color": colour, "width": 1.4}, "name": translate(f"gap.figure.{of}")}
+
+    for of, values, colour in (("measured", view.measured, colours.raw), *predictions):
+        figure.add_scatter(x=x[at], y=times * values[at], **look(of, colour), row=1, col=1)
+    low, high, band = run.t_s[0], run.t_s[-1], 2 * times * view.noise
+    corners = {"x": [low, high, high, low], "y": [band, band, -band, -band]}
+    filled = {"fill": "toself", "fillcolor": colours.line}
+    figure.add_scatter(**corners, **filled, **look("noise_band", colours.line), row=1, col=2)
+    for of, values, colour in predictions:
+        residual = view.measured - values
+        at = _thinning_indices(residual, COMPARED_POINTS)
+        figure.add_scatter(x=run.t_s[at], y=times * residual[at], showlegend=False, **look(of, colour), row=1, col=2)
+    name, _, x_unit = x_name.rpartition("_")
+    label = f"{channel_name(name, translate)}, {x_unit}" if name else x_name
+    figure.update_xaxes(title=label, title_standoff=8, row=1, col=1)
+    figure.update_xaxes(title=translate("gap.figure.time"), title_standoff=8, row=1, col=2)
+    figure.update_yaxes(title=unit)
+    legend = {"orientation": "h", "x": 1.0, "xanchor": "right", "y": -0.2, "yanchor": "top", "yref": "paper"}
+    return _apply_style(figure, 360, legend=legend)
+
+
 def map_figure(runs: Sequence[RunView], channel: str, translate: Translator) -> go.Figure | None:
     """Draw the residual of a channel by force band and direction, before and after."""
     if channel not in CHANNELS or not any(channel in run.channels for run in runs):

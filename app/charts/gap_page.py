@@ -46,6 +46,7 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, tr
             section(translate("gap.runs.plain"), *_traces(runs, translate)),
         ]
     else:
+        parts.append(drawings(figures.worst_run_figure(runs, translate)))
         places = _rows(gap.location_rows(report, translate), translate("gap.where.none"), translate)
         ranking = drawings(figures.ranking_figure(report, MAX_CAUSES, translate))
         causes = _rows(gap.cause_rows(report, translate)[:MAX_CAUSES], gap.no_cause_text(report, translate), translate)

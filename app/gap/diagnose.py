@@ -75,8 +75,8 @@ def run_views(diagnosis: Diagnosis[Any]) -> list[RunView]:
             for block in problem.blocks
             if block.run == k
         }
-        drive, load_N = diagnosis.model.axes_of(diagnosis.best, k)
-        views.append(RunView(run.name, run.profile, run.elapsed_s, drive, load_N, channels))
+        name, drive, load_N = diagnosis.model.axes_of(diagnosis.best, k)
+        views.append(RunView(run.name, run.profile, name, run.elapsed_s, drive, load_N, channels))
     return views
 
 

@@ -116,7 +116,12 @@ def pack_diagnosis(diagnosis: "Diagnosis[TwinModel]") -> "tuple[dict[str, Any], 
     """Return the report of a diagnosis with a list of runs, and the arrays of their figures."""
     views = run_views(diagnosis)
     runs = [
-        {"name": v.name, "profile": v.profile, "noise": {name: c.noise for name, c in v.channels.items()}}
+        {
+            "name": v.name,
+            "profile": v.profile,
+            "drive": v.drive_name,
+            "noise": {name: c.noise for name, c in v.channels.items()},
+        }
         for v in views
     ]
     arrays: dict[str, Any] = {}
@@ -140,6 +145,7 @@ def run_views_of(report: Mapping[str, Any], arrays: "Arrays") -> list[RunView]:
         RunView(
             run["name"],
             run["profile"],
+            run["drive"],
             array(k, "t_s"),
             array(k, "drive"),
             array(k, "load_N"),

@@ -17,7 +17,7 @@ from softcal.app.ui.presentation import choose, empty, translate
 from softcal.app.ui.server_cache import registry
 from softcal.core.lot import UnitKey
 
-NARROWEST_NUMBER_PX = 150
+NARROWEST_NUMBER_PX = 170
 VERDICT_STYLE = {
     f"{mark} ": f"background-color: {VERDICT[name]}; color: {VERDICT_INK}" for name, mark in VERDICT_MARK.items()
 }

@@ -25,12 +25,14 @@ class RunView:
 
     Args:
         t_s: (n,) time since the start of the run.
-        drive: (n,) stage position in mm, else the force in N; its slope tells the direction.
+        drive: (n,) what moved it, in the unit of the column `drive_name`: the stage's position, else the force; of a
+            simulator its first input. Its slope tells the direction.
         load_N: (n,) force for the bands; measured where there is a load cell, else predicted.
     """
 
     name: str
     profile: str
+    drive_name: str
     t_s: Array
     drive: Array
     load_N: Array

@@ -148,8 +148,8 @@ class Model(ABC):
         """Return (samples,) how much the mechanism is loaded."""
 
     @abstractmethod
-    def axes_of(self, result: Fit, run: int) -> tuple[Array, Array]:
-        """Return what drives a run and its load, (n,) each, as a figure shows them."""
+    def axes_of(self, result: Fit, run: int) -> tuple[str, Array, Array]:
+        """Return the column that drives a run, its values and the load, (n,) each, as a figure shows them."""
 
     # How causes are sought.
 

@@ -363,9 +363,9 @@ class SimulatorModel(ReportingModel):
     def load_of(self, result: Fit) -> Array:
         return result.predicted
 
-    def axes_of(self, result: Fit, run: int) -> tuple[Array, Array]:
-        first = result.problem.recorded(run, self.simulator.channels[0])
-        return first, first
+    def axes_of(self, result: Fit, run: int) -> tuple[str, Array, Array]:
+        name, load = next(iter(self.simulator.inputs), "t_s"), self.simulator.channels[0]
+        return name, result.problem.recorded(run, name), result.problem.recorded(run, load)
 
     # How causes are sought.
 

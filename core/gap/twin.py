@@ -187,10 +187,11 @@ class TwinModel(ReportingModel):
                 load[block.rows] = run.force_N
         return load
 
-    def axes_of(self, result: Fit, run: int) -> tuple[Array, Array]:
+    def axes_of(self, result: Fit, run: int) -> tuple[str, Array, Array]:
         one = result.problem.case.runs[run]
         load_N = one.force_N if one.force_N is not None else elastic_force_at(np.asarray(one.stage_mm), result.base)
-        return (one.stage_mm if one.stage_mm is not None else load_N), load_N
+        name, drive = ("force_N", load_N) if one.stage_mm is None else ("stage_mm", one.stage_mm)
+        return name, drive, load_N
 
     # How causes are sought.
 

@@ -364,6 +364,9 @@ def test_diagnoses_are_listed_newest_first_and_one_stays_at_its_address(calibrat
     assert text("en", "gap.verdict.no_gap") in screen.header[0].value
     screen.selectbox(key="gap-beside").select_index(0).run()
     assert not screen.exception and text("en", "gap.verdict.unknown") in screen.header[1].value
+    other = screen.query_params["with"]
+    screen = show(calibrated, "gap", case=str(tmp_path / "first"), job=job, **{"with": other})
+    assert text("en", "gap.verdict.unknown") in screen.header[1].value, "the address holds both"
 
 
 @pytest.mark.long

@@ -14,6 +14,7 @@ from softcal.app.charts.gap import (
     gain_figure,
     residual_map,
     trace_figure,
+    worst_run_figure,
 )
 from softcal.app.charts.gap_page import gap_page
 from softcal.app.charts.palette import palette
@@ -54,7 +55,7 @@ def run(rng: np.random.Generator) -> RunView:
     t_s = np.arange(2000) / 50.0
     load_N = 3.0 * np.abs(np.sin(0.3 * t_s))
     output_V = ChannelView(1.0 + 0.1 * load_N, 1.0 + 0.1 * load_N + 0.003, 1.0 + 0.1 * load_N + 0.001, 0.001)
-    return RunView("1", "ramps", t_s, load_N, load_N, {"output_V": output_V})
+    return RunView("1", "ramps", "force_N", t_s, load_N, load_N, {"output_V": output_V})
 
 
 def test_the_page_answers_the_five_questions(run: RunView) -> None:
@@ -166,3 +167,27 @@ def test_the_legend_of_the_traces_stays_in_the_figure_on_the_screen(run: RunView
     themed = apply_theme(figure, palette("light")).update_layout(legend=legend)
     # A place below the axes is counted from the axes: counted from the figure it lies outside.
     assert themed.layout.legend.y < 0 and themed.layout.legend.yref == "paper"
+
+
+def test_the_first_figure_is_the_run_that_the_base_is_farthest_from(run: RunView) -> None:
+    near = replace(run, name="2", channels={"output_V": replace(run.channels["output_V"], noise=0.01)})
+    figure = worst_run_figure([near, run], ENGLISH)
+    assert figure is not None
+    measured, base, causes, band, before, after = figure.data
+    view = run.channels["output_V"]
+    for line, values in ((measured, view.measured), (base, view.base), (causes, view.explained)):
+        assert line.xaxis == "x" and set(line.x) <= set(run.load_N) and set(line.y) <= set(1e3 * values)
+    assert {abs(y) for y in band.y} == {2.0}
+    assert before.y == pytest.approx(-3.0) and after.y == pytest.approx(-1.0)
+    run_title, rms_title = (note.text for note in figure.layout.annotations)
+    assert "run 1" in run_title and re.findall(r"[\d.]+", rms_title) == ["3.00", "1.00", "1.00"]
+    assert figure.layout.yaxis.title.text == "mV" and figure.layout.xaxis.title.text == "force, N"
+    assert svg(figure).count("<polyline") >= 5 and worst_run_figure([], ENGLISH) is None
+
+
+def test_the_loop_of_another_channel_is_over_what_drove_it(run: RunView) -> None:
+    drive = run.load_N**2
+    lever = replace(run, drive_name="push_N", drive=drive, channels={"angle_rad": run.channels["output_V"]})
+    figure = worst_run_figure([lever], ENGLISH)
+    assert figure is not None and figure.layout.xaxis.title.text == "push, N"
+    assert set(figure.data[0].x) <= set(drive)

@@ -97,23 +97,34 @@ def _case(case: Path, jobs: list[Job]) -> None:
         st.rerun()
     if job is None or not job_panel(job):
         return
-    others = {other.job_id: other for other in jobs if other.job_id != job.job_id}
-    other_id = None
-    if others:
-        names = {
-            key: f"{_short_path(other.request['case'])} · {format_instant(other.created)}"
-            for key, other in others.items()
-        }
-        label, unset = translate("gap.beside"), translate("choose.some")
-        other_id = st.selectbox(label, list(names), None, names.__getitem__, key="gap-beside", placeholder=unset)
-    if other_id is None:
+    if (other := _other(job, jobs)) is None:
         gap_report(job, case)
         return
-    for column, one in zip(st.columns(2), (job, registry().job_board.job(other_id)), strict=True):
+    for column, one in zip(st.columns(2), (job, other), strict=True):
         with column:
             st.caption(f"{_short_path(one.request['case'])} · {format_instant(one.created)}")
             _verdict(one.result)
+            runs = run_views_of(one.result, registry().job_board.arrays(one))
+            if (figure := gap_figures.worst_run_figure(runs, translate, colours())) is not None:
+                _figure(figure, f"worst-{one.job_id}")
             _rows(gap.cause_rows(one.result, translate), gap.no_cause_text(one.result, translate))
+
+
+def _other(job: Job, jobs: list[Job]) -> Job | None:
+    """Let a person choose a diagnosis to show beside one; the choice stays in the address."""
+    others = {other.job_id: other for other in jobs if other.job_id != job.job_id}
+    if not others:
+        return None
+    names = {key: f"{_short_path(one.request['case'])} · {format_instant(one.created)}" for key, one in others.items()}
+    requested_id, ids = str(st.query_params.get("with", "")), list(names)
+    index = ids.index(requested_id) if requested_id in ids else None
+    label, unset = translate("gap.beside"), translate("choose.some")
+    chosen_id = st.selectbox(label, ids, index, names.__getitem__, key="gap-beside", placeholder=unset)
+    if chosen_id is None:
+        st.query_params.pop("with", None)
+        return None
+    st.query_params["with"] = chosen_id
+    return registry().job_board.job(chosen_id)
 
 
 def _add(is_first: bool) -> None:
@@ -172,11 +183,12 @@ def gap_report(job: Job, case: Path) -> None:
     report, board, texts = job.result, registry().job_board, current_translator()
     is_data = report["verdict"] == "data"
     _verdict(report)
-    if not is_data:
-        _figure(gap_figures.ranking_figure(report, MAX_CAUSES, translate, colours()), "ranking")
+    runs = run_views_of(report, board.arrays(job))
+    if not is_data and (figure := gap_figures.worst_run_figure(runs, translate, colours())) is not None:
+        _figure(figure, "worst")
 
     def page() -> str:
-        return gap_page(report, run_views_of(report, board.arrays(job)), report["serial"], texts)
+        return gap_page(report, runs, report["serial"], texts)
 
     # The standalone page in the language of the screen.
     download(translate("gap.page.save"), f"{case.name}-gap.html", page, "gap-page")
@@ -185,7 +197,6 @@ def gap_report(job: Job, case: Path) -> None:
         _truth(case)
     if is_data or not rest_may_follow():
         return
-    runs = run_views_of(report, board.arrays(job))
     st.header(translate("gap.where"))
     if (figure := gap_figures.chain_figure(report, translate, colours())) is not None:
         _figure(figure, "chain")
@@ -195,6 +206,7 @@ def gap_report(job: Job, case: Path) -> None:
         if figure is not None:
             _figure(figure, f"map-{channel}")
     st.header(translate("gap.why"))
+    _figure(gap_figures.ranking_figure(report, MAX_CAUSES, translate, colours()), "ranking")
     _rows(gap.cause_rows(report, translate), gap.no_cause_text(report, translate))
     for group in gap.ambiguous_groups(report, translate):
         st.warning(translate("gap.ambiguous", group=group), icon=":material/call_split:")
@@ -241,6 +253,9 @@ def _verdict(report: Report) -> None:
         return
     if causes := gap.cause_names(report, translate):
         st.markdown(translate("gap.causes", causes=", ".join(causes)))
+    if partial := report.get("partial"):
+        effects = gap.join_names([gap.effect_name(one, translate) for one in partial["effects"]], "gap.and", translate)
+        st.markdown(translate("gap.partial", causes=effects, share=percent(partial["share"])))
     if report["missing_channels"]:
         st.caption(translate("gap.missing", channels=", ".join(report["missing_channels"])))
     explained_fractions = gap.explained_fractions(report)
