@@ -174,7 +174,7 @@ def compare(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
 
 
 def diagnose(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
-    """Diagnose a case; request: case, experiment to press once more on a sealed rig."""
+    """Diagnose a case; request: case, experiment to press once more on a sealed rig, calibration."""
     from softcal.app.gap.diagnose import diagnose_case
     from softcal.app.gap.page_cases import ask_case, pack_diagnosis
 
@@ -189,7 +189,9 @@ def diagnose(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
         steps += 1
         progress(min(0.95, 1 - 0.9**steps), text)
 
-    report, arrays = pack_diagnosis(diagnose_case(folder, on_step))
+    report, arrays = pack_diagnosis(
+        diagnose_case(folder, on_step, with_calibration=bool(job.request.get("calibration")))
+    )
     return Outcome(report["verdict"], report, arrays)
 
 

@@ -315,8 +315,13 @@ def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated
 def test_a_case_is_diagnosed_and_read_on_the_page(calibrated: str, show, jobs_at_once) -> None:
     case = practise("usual")
     screen = show(calibrated, "gap", case=str(case))
+    screen.checkbox(key="gap-calibration").check().run()
     screen.button(key="diagnose").click().run(timeout=180)
-    assert not screen.error
+    assert not screen.error and len(screen.get("plotly_chart")) > 3
+    with open_registry(calibrated) as registry:
+        (job,) = registry.job_board.jobs("diagnose")
+        errors = registry.job_board.job(job.job_id).result["calibration"]
+    assert sum(f"**{errors['repaired']:.3g} N**" in one.value for one in screen.markdown) == 1
     headings = [heading.value for heading in screen.header]
     assert {text("en", "gap.where"), text("en", "gap.next")} <= set(headings)
     assert len(revealed(screen)) == 1

@@ -90,10 +90,11 @@ def _case(case: Path, jobs: list[Job]) -> None:
     job, requested_id = newest_job("diagnose", case=str(case)), str(st.query_params.get("job", ""))
     if requested_id and (job is None or not is_running(job)):
         job = registry().job_board.job(requested_id)
+    is_calibrating = st.checkbox(translate("gap.diagnose.calibration"), key="gap-calibration")
     label = translate("gap.diagnose" if job is None else "gap.diagnose.again")
     if st.button(label, type="primary" if job is None else "secondary", disabled=is_running(job), key="diagnose"):
         st.query_params.pop("job", None)
-        begin_job("diagnose", case=str(case))
+        begin_job("diagnose", case=str(case), calibration=is_calibrating)
         st.rerun()
     if job is None or not job_panel(job):
         return
@@ -256,6 +257,9 @@ def _verdict(report: Report) -> None:
     if partial := report.get("partial"):
         effects = gap.join_names([gap.effect_name(one, translate) for one in partial["effects"]], "gap.and", translate)
         st.markdown(translate("gap.partial", causes=effects, share=percent(partial["share"])))
+    if errors := report.get("calibration"):
+        newtons = {name: f"{errors[name]:.3g}" for name in ("base", "repaired", "rig")}
+        st.markdown(translate("gap.gain.calibration", run=errors["run"], **newtons))
     if report["missing_channels"]:
         st.caption(translate("gap.missing", channels=", ".join(report["missing_channels"])))
     explained_fractions = gap.explained_fractions(report)
