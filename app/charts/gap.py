@@ -133,7 +133,9 @@ def worst_run_figure(runs: Sequence[RunView], translate: Translator, colours: Pa
     predictions = (("base", view.base, colours.source), ("causes", view.explained, colours.mapped))
 
     def look(of: str, colour: str) -> dict[str, Any]:
-        return {"mode": "lines", "line": {"color": colour, "width": 1.4}, "name": translate(f"gap.figure.{of}")}
+        # What was measured lies below the predictions and shows on both sides of them.
+        line = {"color": colour, "width": 4 if of == "measured" else 1.4}
+        return {"mode": "lines", "line": line, "name": translate(f"gap.figure.{of}")}
 
     for of, values, colour in (("measured", view.measured, colours.raw), *predictions):
         figure.add_scatter(x=x[at], y=times * values[at], **look(of, colour), row=1, col=1)

@@ -90,9 +90,12 @@ def _case(case: Path, jobs: list[Job]) -> None:
     job, requested_id = newest_job("diagnose", case=str(case)), str(st.query_params.get("job", ""))
     if requested_id and (job is None or not is_running(job)):
         job = registry().job_board.job(requested_id)
-    is_calibrating = st.checkbox(translate("gap.diagnose.calibration"), key="gap-calibration")
     label = translate("gap.diagnose" if job is None else "gap.diagnose.again")
-    if st.button(label, type="primary" if job is None else "secondary", disabled=is_running(job), key="diagnose"):
+    with st.container(horizontal=True, vertical_alignment="center"):
+        look = "primary" if job is None else "secondary"
+        is_asked = st.button(label, type=look, disabled=is_running(job), key="diagnose")
+        is_calibrating = st.checkbox(translate("gap.diagnose.calibration"), key="gap-calibration")
+    if is_asked:
         st.query_params.pop("job", None)
         begin_job("diagnose", case=str(case), calibration=is_calibrating)
         st.rerun()
@@ -252,30 +255,30 @@ def _verdict(report: Report) -> None:
         announce(translate("gap.data.found", **row), icon=":material/report:")
     if is_data:
         return
-    if causes := gap.cause_names(report, translate):
-        st.markdown(translate("gap.causes", causes=", ".join(causes)))
-    if partial := report.get("partial"):
-        effects = gap.join_names([gap.effect_name(one, translate) for one in partial["effects"]], "gap.and", translate)
-        st.markdown(translate("gap.partial", causes=effects, share=percent(partial["share"])))
-    if errors := report.get("calibration"):
-        newtons = {name: f"{errors[name]:.3g}" for name in ("base", "repaired", "rig")}
-        st.markdown(translate("gap.gain.calibration", run=errors["run"], **newtons))
-    if report["missing_channels"]:
-        st.caption(translate("gap.missing", channels=", ".join(report["missing_channels"])))
-    explained_fractions = gap.explained_fractions(report)
+    left, right = st.columns([3, 2])
+    with left:
+        if causes := gap.cause_names(report, translate):
+            st.markdown(translate("gap.causes", causes=", ".join(causes)))
+        if partial := report.get("partial"):
+            names = [gap.effect_name(effect, translate) for effect in partial["effects"]]
+            effects = gap.join_names(names, "gap.and", translate)
+            st.markdown(translate("gap.partial", causes=effects, share=percent(partial["share"])))
+        if errors := report.get("calibration"):
+            newtons = {name: f"{errors[name]:.3g}" for name in ("base", "repaired", "rig")}
+            st.markdown(translate("gap.gain.calibration", run=errors["run"], **newtons))
+        if report["missing_channels"]:
+            st.caption(translate("gap.missing", channels=", ".join(report["missing_channels"])))
+    fractions = gap.explained_fractions(report)
     cells = [
-        (translate(f"gap.{name}"), percent(explained_fractions.get(key)), translate(f"gap.{name}.help"))
+        (translate(f"gap.{name}"), percent(fractions.get(key)), translate(f"gap.{name}.help"))
         for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
-        if explained_fractions.get(key) is not None
+        if fractions.get(key) is not None
     ]
-    if cells:
-        numbers(cells)
-    if explained_fractions.get("low") is not None:
-        st.caption(
-            translate(
-                "gap.interval", low=percent(explained_fractions["low"]), high=percent(explained_fractions["high"])
-            )
-        )
+    with right:
+        if cells:
+            numbers(cells)
+        if fractions.get("low") is not None:
+            st.caption(translate("gap.interval", low=percent(fractions["low"]), high=percent(fractions["high"])))
 
 
 def _next(report: Report, case: Path) -> None:
