@@ -8,11 +8,11 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO, cast
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.spreadsheet import csv_text, write_table
@@ -41,6 +41,49 @@ def echo(line: str) -> None:
 def escape_controls(text: str) -> str:
     """Return text whose control characters show as codes: a file must not steer a terminal."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+class _Console:
+    """Standard output or error, whose reader may leave: what is printed then goes nowhere, and the work goes on."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        with self._reader_may_leave():
+            self.stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._reader_may_leave():
+            self.stream.flush()
+
+    @contextmanager
+    def _reader_may_leave(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.stream.fileno())
+            os.close(nowhere)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+@contextmanager
+def printing() -> Iterator[None]:
+    """Let a command print to readers that may leave before it is done, such as `head`."""
+    consoles = output, error = _Console(sys.stdout), _Console(sys.stderr)
+    with redirect_stdout(cast(TextIO, output)), redirect_stderr(cast(TextIO, error)):
+        yield
+        for console in consoles:
+            console.flush()
+
+
+def stream_of_standard_output() -> TextIO:
+    """Return standard output for rows without an end, which nobody makes once their reader has left."""
+    return getattr(sys.stdout, "stream", sys.stdout)
 
 
 @dataclass

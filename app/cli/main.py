@@ -12,7 +12,7 @@ from softcal.app.bootstrap import ONE_THREAD
 from softcal.app.cli.configuration import configure, files_in_use
 from softcal.app.cli.parser import Parser
 from softcal.app.extras import missing_extra
-from softcal.app.output import answering
+from softcal.app.output import answering, printing
 from softcal.core.errors import InputError, SoftcalError
 
 DONE, USAGE_ERROR = 0, InputError.exit_code
@@ -80,11 +80,12 @@ def main(arguments: list[str] | None = None) -> int:
         values = {name: getattr(options, name, None) for name in ("lot", "serial", "station", "actor")}
         context = {name: str(value) for name, value in values.items() if value is not None}
         log = begin_run(command.strip("_"), argv, **context)
-    code, message = _outcome(options)
-    if log is not None:
-        end_run(log, code, message)
-    if message:
-        print(f"softcal: {message}", file=sys.stderr)
+    with printing():
+        code, message = _outcome(options)
+        if log is not None:
+            end_run(log, code, message)
+        if message:
+            print(f"softcal: {message}", file=sys.stderr)
     return code
 
 
@@ -98,7 +99,6 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
     except KeyboardInterrupt:
         return USAGE_ERROR, "stopped by the keyboard; what was finished is kept, run the same command to go on"
     except BrokenPipeError:
-        sys.stderr.close()
         return DONE, ""
     except Exception as error:
         from softcal.app.logs import log_crash

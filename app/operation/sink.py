@@ -1,7 +1,6 @@
 """Where live estimates go, line by line: a file, standard output, or a socket."""
 
 import socket
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from urllib.parse import urlsplit
 import pandas as pd
 
 from softcal.app.files.stream_file import COLUMNS, HEADER
-from softcal.app.output import echo
+from softcal.app.output import echo, stream_of_standard_output
 from softcal.core.errors import InputError
 from softcal.core.unit.estimate import Estimate
 
@@ -75,8 +74,9 @@ def open_sink(target: str, append: bool) -> Iterator[Sink]:
         InputError: the file exists or cannot be written, or nobody listens at the address.
     """
     if target == "-":
-        sys.stdout.write(HEADER)
-        yield _FlushingFile(sys.stdout)
+        output = stream_of_standard_output()
+        output.write(HEADER)
+        yield _FlushingFile(output)
         return
     if target.startswith("tcp://"):
         with _Listener(target) as listener:

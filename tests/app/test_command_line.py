@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import termios
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -88,6 +89,40 @@ def test_json_on_standard_output_is_json_and_nothing_else(
     main(["batch", lot, "--registry", _url(calibrated), "--hidden", "16,8", "--json", "-", "--csv", str(table)])
     assert {unit["serial"] for unit in json.loads(capsys.readouterr().out)["units"]} == {"A1", "A2", "A3"}
     assert len(table.read_text().splitlines()) == 4
+
+
+@pytest.mark.parametrize("output", [["stdout"], ["stderr"], ["stdout", "stderr"]])
+@pytest.mark.parametrize("command", [["gap", "effects"], ["registry", "list"], ["batch", "lot", "--out", "files"]])
+def test_a_reader_that_leaves_costs_no_file(calibrated: Path, tmp_path: Path, command: list[str], output: list[str]):
+    """As `softcal ... | head`: what was asked for is written, and the exit code is that of the command."""
+    report = tmp_path / "report.json"
+    environment = os.environ | {"SOFTCAL_REGISTRY": _url(calibrated)}
+    arguments = [sys.executable, "-m", "softcal.app.cli.main", *command, "--json", str(report)]
+    read = subprocess.run(arguments, cwd=calibrated, env=environment, capture_output=True)
+    expected = json.loads(report.read_text())
+    report.unlink()
+    far, near = os.pipe()
+    os.close(far)
+    with os.fdopen(near, "wb") as closed:
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | dict.fromkeys(output, closed)
+        left = subprocess.run(arguments, cwd=calibrated, env=environment, **streams)
+    assert left.returncode == read.returncode
+    assert json.loads(report.read_text()).keys() == expected.keys()
+
+
+def test_rows_without_an_end_are_made_for_nobody(calibrated: Path) -> None:
+    arguments = [sys.executable, "-m", "softcal.app.cli.main", "adapt", "--registry", _url(calibrated)]
+    arguments += ["--serial", "A2", "-", "--out", "-"]
+    adapt = subprocess.Popen(
+        arguments, cwd=calibrated, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    assert adapt.stdin is not None and adapt.stdout is not None
+    adapt.stdout.close()
+    with suppress(BrokenPipeError), adapt.stdin:
+        for k in range(20_000):
+            adapt.stdin.write(f"{k / 50},{0.5 + 0.001 * (k % 100)}\n".encode())
+            adapt.stdin.flush()
+    assert adapt.wait(timeout=60) == 0
 
 
 def test_one_standard_output_is_not_given_twice(calibrated: Path, capsys: pytest.CaptureFixture[str]) -> None:
