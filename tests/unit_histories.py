@@ -184,6 +184,8 @@ class UnitHistories(RuleBasedStateMachine):
     @rule(side=side_of, serial=unit_of)
     def confirm(self, side: str, serial: str) -> None:
         registry = self.registries[side]
+        if not any(unit.suspect_reason for unit in read_lot_status(registry, LOT.id).audited):
+            self.act("audit", side, partial(bring_audit, registry, serial, 5.0, 7))
         suspects = [unit.serial for unit in read_lot_status(registry, LOT.id).audited if unit.suspect_reason]
         chosen = suspects[0] if suspects else serial
         self.act("confirm", side, partial(confirm, registry, LOT.id, chosen, reason="pressed again"))
