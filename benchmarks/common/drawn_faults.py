@@ -14,7 +14,7 @@ from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.simulated.far_end import FarEnd
 from softcal.station.tasks.acquisition import RunProgress, record
 from softcal.station.tasks.durations import PRESSING
-from softcal.station.testing.faults import filter_cell, hang, loosen
+from softcal.station.testing.faults import filter_cell, hang, limit_speed, loosen
 
 STAGES = ("grbl", "zaber", "esm")
 
@@ -73,6 +73,7 @@ def _stretch(station: SimulatedStation, times: float) -> None:
 KINDS = (
     FaultKind("low pass of the load cell", 0.02, 0.3, "s", filter_cell, True),
     FaultKind("delay of the load cell that is not stated", 0.02, 0.3, "s", _delay, True),
+    FaultKind("load cell follows no faster than so", 0.5, 4.0, "N/s", limit_speed, True),
     FaultKind("gain of the load cell changes", 0.03, 0.5, "", _force(lambda force_N, size: (1.0 - size) * force_N)),
     FaultKind("zero of the load cell moves", 0.05, 1.0, "N", _force(lambda force_N, size: force_N + size)),
     FaultKind("load cell hangs", 0.1, 2.0, "s", hang),

@@ -13,7 +13,13 @@ from softcal.station.device_names import CELL, device_label
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.method import METHOD, ProofMethod
 from softcal.station.record.proof import PressLaw, check_converter, check_follows, check_gain, check_output_gain
-from softcal.station.record.response import CellResponse, check_lag, check_response, fit_response
+from softcal.station.record.response import (
+    CellResponse,
+    check_explained,
+    check_lag,
+    check_response,
+    fit_response,
+)
 from softcal.station.record.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct_track
 
@@ -181,6 +187,8 @@ def assemble(raw: Raw, metadata: RunMetadata, method: ProofMethod = METHOD) -> S
         if metadata.is_latency_declared:
             check_lag(response, metadata.force_late_s, float(np.median(np.diff(cell.device_s))), method.lag)
         remarks = _check_cell(cell, sensor, track, metadata, late_s, method)
+        if metadata.with_reference:
+            check_explained(response, method.response)
         force_N = _force_at(host_s, cell, metadata, late_s)
         offset_s = residual_offset_s(force_N, output[:, 0], metadata.sample_rate_Hz)
         cell_drift, cell_late_s = cell.clock.rate - 1, cell.clock.late_s

@@ -16,6 +16,9 @@ from softcal.core.messages.reason import reason
 from softcal.core.recording import Array
 from softcal.station.record.method import CellLagConfig, ProofMethod, ResponseConfig
 
+NORMAL_MEDIAN = 0.6745
+"""Median of |x| of a normal distribution with a standard deviation of 1."""
+
 
 @dataclass(frozen=True, eq=False)
 class CellResponse:
@@ -24,9 +27,11 @@ class CellResponse:
     Args:
         delay_s: pure delay, positive when the force is late; NaN where the run does not tell: too shallow, too slow,
             too noisy, or presses that come again and again.
-        time_constant_s: of the first-order low pass behind it; 0 for none.
+        time_constant_s: of the first-order low pass behind it, whether the delay shows or not; 0 for none.
         grid_s: (n,) host times.
         true_N, filtered_N: (n,) the force by the fitted law, and the same behind delay and low pass.
+        unexplained: share of the changes of the force that the law leaves behind the best delay and low pass, beyond
+            noise.
     """
 
     delay_s: float
@@ -34,6 +39,7 @@ class CellResponse:
     grid_s: Array
     true_N: Array
     filtered_N: Array
+    unexplained: float = 0.0
 
     @property
     def is_identifiable(self) -> bool:
@@ -87,13 +93,12 @@ def fit_response(
     best = min(best, filtered([share * best.constant_s for share in response.finer]))
     if prompt.misfit < (response.tells + allowance) * best.misfit:
         best = prompt
+    unexplained = max(0.0, best.misfit - law.noise) / law.changes
     # Presses that come again and again fit nearly as well half a press away: every other delay counts.
     others_s = [best.delay_s - lag.apart_s, best.delay_s + lag.apart_s, *delays_s]
-    other_misfit = law.best_apart(best, others_s, lag.apart_s)
-    if other_misfit < (lag.tells + allowance) * best.misfit:
-        return CellResponse(float("nan"), 0.0, t_s, force_N, force_N)
-    true_N, filtered_N = law.forces_N(best)
-    return CellResponse(best.delay_s, best.constant_s, law.grid_s, true_N, filtered_N)
+    is_identifiable = law.best_apart(best, others_s, lag.apart_s) >= (lag.tells + allowance) * best.misfit
+    delay_s = best.delay_s if is_identifiable else float("nan")
+    return CellResponse(delay_s, best.constant_s, law.grid_s, *law.forces_N(best), unexplained)
 
 
 def check_lag(response: CellResponse, declared_s: float, period_s: float, config: CellLagConfig) -> None:
@@ -110,6 +115,12 @@ def check_lag(response: CellResponse, declared_s: float, period_s: float, config
 def check_response(response: CellResponse, error_N: float, config: ResponseConfig) -> None:
     """Raise `BadReply` where a low pass leaves labels an RMS error that no source may have."""
     check_error(response.time_constant_s, error_N, config.share * float(np.ptp(response.true_N)))
+
+
+def check_explained(response: CellResponse, config: ResponseConfig) -> None:
+    """Raise `BadReply` where no delay and low pass explains the readings: a limit of speed, or a value that is held."""
+    if response.unexplained > config.max_unexplained:
+        raise BadReply(reason("rig.distorted", percent=100.0 * response.unexplained))
 
 
 def check_error(constant_s: float, error_N: float, allowed_N: float) -> None:
@@ -146,6 +157,19 @@ class _Law:
         self._even_s = max(self._step_s, float(np.median(np.diff(t_s))))
         self._at_s = np.arange(t_s[0], t_s[-1], self._even_s)
         self._force_N = np.interp(self._at_s, t_s, force_N)
+
+    @property
+    def changes(self) -> float:
+        """The sum of squares of the force behind the high pass, without what a law has to explain there at once."""
+        begin, passed_N = self._passed(self._force_N[:, None]).T
+        return max(float(passed_N @ passed_N - (begin @ passed_N) ** 2 / (begin @ begin)), 1e-300)
+
+    @property
+    def noise(self) -> float:
+        """The sum of squares of the noise behind the high pass: of what changes from sample to sample and back."""
+        bends_N = np.diff(self._force_N, 2)
+        variance = (float(np.median(np.abs(bends_N))) / NORMAL_MEDIAN) ** 2 / 6.0 if len(bends_N) else 0.0
+        return 2.0 * variance * len(self._at_s) / (1.0 + float(np.exp(-self._even_s / self._config.high_pass_s)))
 
     def best(self, constant_s: float, delays_s: Array) -> _Candidate:
         """Return the best of these delays, refined around the minimum."""

@@ -130,6 +130,19 @@ def filter_cell(station: SimulatedStation, constant_s: float) -> None:
     station.rig.force_fault = filtered
 
 
+def limit_speed(station: SimulatedStation, fastest_N_s: float) -> None:
+    """The load cell's amplifier follows no faster than so, as one whose display is to be calm."""
+    newest: list[tuple[float, float]] = []
+
+    def limited(now_s: float, force_N: float) -> float:
+        before_s, level_N = newest[-1] if newest else (now_s, force_N)
+        step_N = fastest_N_s * (now_s - before_s)
+        newest[:] = [(now_s, min(max(force_N, level_N - step_N), level_N + step_N))]
+        return newest[0][1]
+
+    station.rig.force_fault = limited
+
+
 def _freeze_position(station: SimulatedStation) -> None:
     station.far_end(FarEnd, "stage").frozen_mm = station.axis.position_mm
 

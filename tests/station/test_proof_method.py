@@ -21,6 +21,7 @@ STRICT = {
     "rig.odd_force": {"hang": {"share": 0.0, "least": 0.0}},
     "rig.follows": {"output": {"follows": 1.1}},
     "rig.low_pass": {"response": {"share": -1.0}},
+    "rig.distorted": {"response": {"max_unexplained": -1.0}},
     "rig.dropout": {"dropout": {"range_share": 0.0, "noises": 0.0, "counts": 0.0, "edge_steps": 1.0}},
 }
 

@@ -1,5 +1,6 @@
 """A load cell behind a low pass: delay and bandwidth are two things, labels that a filter spoils are refused."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from softcal.station.motion.monitored_bench import MonitoredBench
 from softcal.station.record.method import METHOD
 from softcal.station.record.response import fit_response
 from softcal.station.tasks.acquisition import record
-from softcal.station.testing.faults import filter_cell
+from softcal.station.testing.faults import filter_cell, limit_speed
 from tests.layers import layered
 
 FAST = ramps([2.0, 3.0, 3.0], 4.0, rest_s=0.5)
@@ -117,6 +118,16 @@ def test_delay_and_time_constant_are_distinguished(constant_s, late_s, samples_H
     assert response.lag_s == pytest.approx(late_s + constant_s, abs=0.04)
     error_N = np.sqrt(np.mean((filtered_N - force_N)[1000:-1000] ** 2))
     assert response.error_N(late_s) == pytest.approx(error_N, rel=tolerance)
+
+
+@pytest.mark.parametrize("fastest_N_s", [1.5, 3.0])
+def test_a_cell_that_follows_no_faster_than_so_gives_no_labels(fastest_N_s):
+    """A limit of speed is neither delay nor low pass; slower presses do not reach it."""
+    for profile, is_refused in ((FAST, True), (ramps([0.1, 0.15], 3.0, rest_s=0.5), False)):
+        with open_simulated_bench(Twin(), seed=3) as (bench, station):
+            limit_speed(station, fastest_N_s)
+            with pytest.raises(BadReply) if is_refused else nullcontext():
+                record(bench, "A0", profile, True)
 
 
 def behind_low_pass(values, constant_s):
