@@ -155,8 +155,8 @@ def _cells(line: LineStatus, operator: str, translate: Translator) -> tuple[tupl
     if line.heartbeat is not None:
         station = f"{station} · {translate(f'station.state.{line.station_state}')}"
     counts = dict(lot.counts) if lot else {}
-    decided = sum(counts.values()) - counts.get("none", 0)
-    decided = decided - counts.get("conditional", 0)
+    pressed = sum(counts.values()) - counts.get("none", 0)
+    decided = pressed - counts.get("conditional", 0)
     target = (lot.rules.target if lot else None) or (sum(counts.values()) if counts.get("none") else None)
     if not operator and line.session.operator:
         operator = translate("line.badge" if line.operator else "line.badge.over", name=line.session.operator)
@@ -165,6 +165,6 @@ def _cells(line: LineStatus, operator: str, translate: Translator) -> tuple[tupl
         (translate("choose.lot"), lot.id if lot else "–"),
         (translate("line.cell.product"), (lot.lot.sensor_model if lot else "") or "–"),
         (translate("role.operator"), operator or "–"),
-        (translate("line.cell.units"), f"{decided} / {target}" if target else str(decided)),
+        (translate("line.cell.units"), f"{pressed} / {target}" if target else str(pressed)),
         (translate("line.cell.yield"), percent(counts.get("pass", 0) / decided if decided else None)),
     )

@@ -319,6 +319,9 @@ def test_the_bar_tells_station_lot_product_operator_count_and_yield():
     # A stated target goes before the number of known units.
     lot = replace(LOT, rules=LineRules(target=500))
     assert dict(card_of(lot=lot).cells)[TRANSLATE("line.cell.units")] == "4 / 500"
+    # A unit that waits for evidence was pressed, and is no reject.
+    cells = dict(card_of(lot=replace(LOT, counts={"conditional": 6})).cells)
+    assert (cells[TRANSLATE("line.cell.units")], cells[TRANSLATE("line.cell.yield")]) == ("6", "–")
 
 
 def test_a_stop_of_the_station_is_no_reject_among_the_last_units():
