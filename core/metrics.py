@@ -1,5 +1,7 @@
 """Error figures of an estimate beside its reference, and the interval of a share."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 
@@ -20,6 +22,17 @@ def rmse(estimate: Array, reference: Array) -> float:
     """Return the root mean square error over rows where both are finite; NaN without any."""
     error = (estimate - reference)[np.isfinite(estimate) & np.isfinite(reference)]
     return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
+
+
+def quantile(values: Array, shares: float | Sequence[float] | Array) -> Array:
+    """Return `np.quantile` of (n,) values to the last digit, n > 0: a unit asks for fifty, and most have few values."""
+    ordered, position = np.sort(values), (len(values) - 1) * np.asarray(shares)
+    below = position.astype(np.intp)
+    low, high, part = ordered[below], ordered[np.minimum(below + 1, len(values) - 1)], position - below
+    step = high - low
+    between = np.where(part < 0.5, low + step * part, high - step * (1.0 - part))
+    # Sorted, NaN is last.
+    return between if ordered[-1] == ordered[-1] else np.full_like(between, np.nan)
 
 
 def wilson(count: int, of: int) -> tuple[float, float]:

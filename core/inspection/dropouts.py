@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.inspection.config import DropoutConfig
+from softcal.core.metrics import quantile
 from softcal.core.recording import Array, Indices
 
 THIRD_DIFFERENCE = 0.6745 * np.sqrt(20.0)
@@ -59,8 +60,8 @@ def _edges(output: Array, steps: Array, has_stage: bool, config: DropoutConfig) 
     noise = float(np.median(np.abs(np.diff(output, 3)))) / THIRD_DIFFERENCE
     changes = np.abs(np.diff(output))
     count = float(np.min(changes[changes > 0.0], initial=np.inf))
-    low, lower, higher, high = np.quantile(output, (0.01, config.max_share, 1.0 - config.max_share, 0.99)).tolist()
-    usual = max(higher - lower, config.edge_steps * float(np.quantile(changes, 0.99)))
+    low, lower, higher, high = quantile(output, (0.01, config.max_share, 1.0 - config.max_share, 0.99)).tolist()
+    usual = max(higher - lower, config.edge_steps * float(quantile(changes, 0.99)))
     by_range = config.range_share * (high - low) if has_stage else usual
     min_step = max(by_range, config.noises * noise, config.counts * count)
     neighbours = np.max(np.lib.stride_tricks.sliding_window_view(sizes, config.neighbours), axis=1)

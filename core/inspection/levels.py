@@ -7,6 +7,7 @@ import numpy as np
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.inspection import InspectionFinding
 from softcal.core.inspection.outliers import column_scale
+from softcal.core.metrics import quantile
 from softcal.core.recording import Array, Indices
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -34,7 +35,7 @@ def _wraps(t_s: Array, output: Array, config: InspectionConfig) -> list[Inspecti
     modulus = 2.0 ** np.round(np.log2(np.maximum(np.abs(steps), 1)))
     # A counter that wraps shows nearly all of its range, and no other movement is as fast.
     is_wrap = (modulus >= 2**8) & (np.abs(steps) >= config.wrap_share * modulus) & (modulus >= config.wrap_share * span)
-    usual = float(np.quantile(np.abs(steps), 0.9))
+    usual = float(quantile(np.abs(steps), 0.9))
     return [
         InspectionFinding(
             "wrap", "output", row + 1, row + 2, float(t_s[row + 1]), float(steps[row]), float(modulus[row])
@@ -49,7 +50,7 @@ def _step(t_s: Array, output: Array, config: InspectionConfig) -> list[Inspectio
     before, after = output[: shift.row + 1], output[shift.row + 1 :]
     if min(len(before), len(after)) < config.step_rows:
         return []
-    moved = np.quantile(after, LEVELS) - np.quantile(before, LEVELS)
+    moved = quantile(after, LEVELS) - quantile(before, LEVELS)
     middle = float(np.median(moved))
     is_shift = bool(np.all(np.abs(moved - middle) < abs(middle) / 2)) and abs(middle) >= config.step_share * span
     near = slice(max(shift.row - config.step_rows, 0), shift.row + config.step_rows)
@@ -75,7 +76,7 @@ def _stuck(t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionC
     longest = order[0]
     start, length = int(starts[longest]), int(lengths[longest])
     scale = column_scale(output)
-    low, high = np.quantile(output, (0.05, 0.95))
+    low, high = quantile(output, (0.05, 0.95))
     is_inside = low + config.step_share * scale.span < output[start] < high - config.step_share * scale.span
     others = int(lengths[order[1]])
     if not is_inside or length < config.stuck_s * sample_rate_Hz or length < config.stuck_factor * others:
@@ -93,7 +94,7 @@ def find_flat_ends(output: Array, config: InspectionConfig) -> list[tuple[float,
     There its last value is far more frequent than what lies just inside: a readout that is cut off, or holds to the
     last digit. The end at which it begins is that of rest.
     """
-    (low, high), ends = np.quantile(output, (0.01, 0.99)), []
+    (low, high), ends = quantile(output, (0.01, 0.99)), []
     # A coarse converter has levels wider than that.
     band = max(config.flat_band * (high - low), 1.5 * column_scale(output).step)
     starts, lengths = equal_runs(output)

@@ -10,6 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from softcal.core.maps.config import CrossingConfig
+from softcal.core.metrics import quantile
 from softcal.core.recording import Array, Indices, OutputRecording
 
 CACHED = 32
@@ -129,7 +130,7 @@ def _range(recording: OutputRecording, config: CrossingConfig) -> float:
 def robust_range(values: Array, config: CrossingConfig) -> float:
     """Return the span between the level at rest and the level of the hardest presses."""
     # Not minimum and maximum: one spike would set the range of a whole recording.
-    low, high = np.quantile(values, config.robust_range)
+    low, high = quantile(values, config.robust_range)
     return float(high - low)
 
 

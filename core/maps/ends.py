@@ -9,6 +9,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import CACHED, LevelPath, averaging_length, level_path, moving_mean
 from softcal.core.messages.reason import reason
+from softcal.core.metrics import quantile
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 
@@ -146,7 +147,7 @@ def _stretch_ends(
     recording: OutputRecording, average: int, sign: float, stretches: list[tuple[int, int]], config: MapConfig
 ) -> Ends:
     level, path = sign * _smoothed(recording, average), level_path(recording, average, config.crossing)
-    rest = [float(np.quantile(level[start:stop], config.ends.rest_share)) for start, stop in stretches]
+    rest = [float(quantile(level[start:stop], config.ends.rest_share)) for start, stop in stretches]
     peak = [_peak(path, level[start:stop], sign, (start, stop), config) for start, stop in stretches]
     return Ends(np.array(rest), np.array(peak))
 
@@ -154,7 +155,7 @@ def _stretch_ends(
 def _peak(path: LevelPath | None, level: Array, sign: float, rows: tuple[int, int], config: MapConfig) -> float:
     part = None if path is None else path.within(*rows)
     if part is None or not part.swings:
-        return float(np.quantile(level, 1 - config.ends.rest_share))
+        return float(quantile(level, 1 - config.ends.rest_share))
     upper = np.array(config.ends.peak_shares)
     # The path is kept in output units: under load a falling sensor goes towards its low end.
     shares = upper if sign > 0 else 1 - upper
@@ -171,5 +172,5 @@ def _patches(source: OutputRecording, target: OutputRecording, average: int, sig
 
 
 def _patch_ends(levels: list[Array], config: MapConfig) -> Ends:
-    ends = np.array([np.quantile(level, config.ends.quantile_range) for level in levels])
+    ends = np.array([quantile(level, config.ends.quantile_range) for level in levels])
     return Ends(ends[:, 0], ends[:, 1])

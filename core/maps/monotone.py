@@ -11,7 +11,7 @@ from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem
 from softcal.core.messages.reason import reason
-from softcal.core.metrics import rms
+from softcal.core.metrics import quantile, rms
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
 MONOTONE, AVERAGED = "monotone", "averaged"
@@ -48,7 +48,7 @@ def fit_averaged(problem: FitProblem) -> CurveMap:
     match, curve, config = problem.ends, fit_monotone(problem), problem.config
     line = match.offset + match.gain * curve.knots
     output = match.offset + match.gain * problem.target.output
-    rest = np.quantile(output, config.crossing.robust_range[0 if problem.source.direction > 0 else 1])
+    rest = quantile(output, config.crossing.robust_range[0 if problem.source.direction > 0 else 1])
     gain = match.gain_error * rms(output - rest) / robust_range(problem.source.unlabelled.output, config.crossing)
     error = config.curve.match_error
     share, _ = weigh_line(float(np.hypot(error, gain)), error, config.curve.match_correlation)

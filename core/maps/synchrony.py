@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
 from softcal.core.maps.crossing import CACHED, moving_mean, robust_range, turning_points
+from softcal.core.metrics import quantile
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, Mask, OutputRecording
 from softcal.core.windows import TAPS
 
@@ -163,7 +164,7 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
         off = np.abs(moving_mean(_off_curve(a, b, length), settled)) / span
         # What the opening itself leaves of the curve (noise, hysteresis) is no sign of its end. Not the maximum: one
         # outlier inside must not let foreign loads in.
-        scatter = float(np.quantile(off[: max(length - settled, 1)], config.opening_quantile))
+        scatter = float(quantile(off[: max(length - settled, 1)], config.opening_quantile))
         allowed = max(config.same_curve, config.off_curve * scatter)
         beyond = np.flatnonzero(off[first:] > allowed)
         end = first + int(beyond[0]) if len(beyond) else len(a)

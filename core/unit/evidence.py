@@ -18,7 +18,7 @@ from softcal.core.maps.interface import FitProblem, UnitMap, mapped_segments
 from softcal.core.maps.monotone import AVERAGED
 from softcal.core.maps.paired import SHARED_LOAD, STAGE_MATCHED, SYNCHRONOUS, fit_pairs
 from softcal.core.maps.synchrony import paired_rows
-from softcal.core.metrics import rms
+from softcal.core.metrics import quantile, rms
 from softcal.core.recording import Array, Indices, LabelledRecording, Mask, OutputRecording
 from softcal.core.unit.correspondence import SHARED, Correspondence, find_correspondence
 from softcal.core.unit.health import OutputLimits, clipped_share
@@ -220,7 +220,7 @@ def gather_evidence(
         "disagreement": rms(disagreement),
         "stability": rms(stability),
         "support": interval.sensitivity * rms(distance),
-        "shift": rms(np.quantile(unbent_load, operation.shares) - operation.loads),
+        "shift": rms(quantile(unbent_load, operation.shares) - operation.loads),
         # The scatter of estimates at rest beyond the source's own: drift, creep, a loose mount.
         "rest": float(np.sqrt(max(_spread_at_rest(model, estimate, shape) ** 2 - operation.rest_spread**2, 0.0))),
         "resolution": _resolution(model, target, float(np.std(mapped) / np.std(raw))),
@@ -294,14 +294,14 @@ class _SourceOperation:
 def _source_operation(model: SourceModel) -> _SourceOperation:
     config, shape, estimate = model.method.forecast, model.shape, model.estimate
     shares = np.linspace(*model.method.map.ends.quantile_range, config.quantiles)
-    low, high = np.quantile(shape.level, model.method.map.ends.quantile_range)
+    low, high = quantile(shape.level, model.method.map.ends.quantile_range)
     # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
     levels = np.linspace(low, high, config.overlap_edges[0])
     slopes = np.linspace(-1, 1, config.overlap_edges[1])
-    slopes *= np.quantile(np.abs(shape.slope), model.method.map.curve.shares[1])
+    slopes *= quantile(np.abs(shape.slope), model.method.map.curve.shares[1])
     return _SourceOperation(
         shares=shares,
-        loads=np.quantile(estimate, shares),
+        loads=quantile(estimate, shares),
         rest_spread=_spread_at_rest(model, estimate, shape),
         rms_load=rms_load(model, estimate),
         fast=_fast(shape, config),
@@ -344,7 +344,7 @@ def rms_load(model: SourceModel, estimate: Array) -> float:
 
 
 def _rest_level(model: SourceModel, estimate: Array) -> float:
-    return float(np.quantile(estimate, model.method.map.crossing.robust_range[0]))
+    return float(quantile(estimate, model.method.map.crossing.robust_range[0]))
 
 
 def _stage_terms(
@@ -377,7 +377,7 @@ def _paired_errors(model: SourceModel, trial: Trial) -> Array:
 
 def beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:
     """Return how far loads lie outside the range that a unit's estimates reach."""
-    low, high = np.quantile(estimate, shares)
+    low, high = quantile(estimate, shares)
     return np.asarray(np.maximum(np.maximum(low - load, load - high), 0.0))
 
 
@@ -387,12 +387,12 @@ def _operation_overlap(operation: _SourceOperation, shape: WindowShape) -> float
 
 
 def _fast(shape: WindowShape, config: ForecastConfig) -> float:
-    return max(float(np.quantile(np.abs(shape.slope), config.fast)), 1e-9)
+    return max(float(quantile(np.abs(shape.slope), config.fast)), 1e-9)
 
 
 def _sharpness(shape: WindowShape, config: ForecastConfig) -> float:
     """Return the extreme bend over the extreme slope: pressing faster raises both, so that speed changes little."""
-    return float(np.quantile(np.abs(shape.curvature), config.sharp)) / _fast(shape, config)
+    return float(quantile(np.abs(shape.curvature), config.sharp)) / _fast(shape, config)
 
 
 def _cell_shares(shape: WindowShape, levels: Array, slopes: Array) -> Array:

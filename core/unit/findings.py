@@ -10,6 +10,7 @@ from softcal.core.maps.crossing import CACHED, swings
 from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.messages.reason import Reason, reason
+from softcal.core.metrics import quantile
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
 from softcal.core.unit.correspondence import BLIND
 from softcal.core.unit.evidence import MapEvidence, rest_rows
@@ -138,7 +139,7 @@ def _uncovered(model: SourceModel, target: OutputRecording, evidence: MapEvidenc
 
 
 def _quantile_range(values: Array, shares: tuple[float, float]) -> tuple[float, float]:
-    low, high = np.quantile(values, shares)
+    low, high = quantile(values, shares)
     return float(low), float(high)
 
 
@@ -257,7 +258,7 @@ def _levels(recording: OutputRecording, method: Method) -> Array:
     """Return the quantiles of the output, as shares of the span between its tails."""
     low, high = _quantile_range(recording.output, method.health.span)
     shares = np.linspace(*method.map.ends.quantile_range, method.forecast.quantiles)
-    return np.asarray((np.quantile(recording.output, shares) - low) / (high - low))
+    return np.asarray((quantile(recording.output, shares) - low) / (high - low))
 
 
 @lru_cache(maxsize=CACHED)

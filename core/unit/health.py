@@ -8,6 +8,7 @@ import numpy as np
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.crossing import CACHED
 from softcal.core.messages.reason import Reason, reason
+from softcal.core.metrics import quantile
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig, Method
 from softcal.core.unit.missing import missing_windows
@@ -184,7 +185,7 @@ def _longest_inner_run(recording: OutputRecording, edge: float) -> int:
 
 @lru_cache(maxsize=CACHED)
 def _span(recording: OutputRecording, config: HealthConfig) -> Array:
-    return np.quantile(recording.output, config.span)
+    return quantile(recording.output, config.span)
 
 
 @lru_cache(maxsize=CACHED)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.core.metrics import quantile
 from softcal.core.recording import Array, OutputRecording
 
 
@@ -28,7 +29,7 @@ class LoadLine:
 
 def output_level(recording: OutputRecording, *, is_rising: bool, rest: float) -> OutputLevel:
     """Return where the output of a unit stands, at the quantiles `rest` and 1 - `rest` of its samples."""
-    low, high = (float(value) for value in np.quantile(recording.output, (rest, 1 - rest)))
+    low, high = (float(value) for value in quantile(recording.output, (rest, 1 - rest)))
     return OutputLevel(low if is_rising else high, high - low)
 
 
