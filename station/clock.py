@@ -1,6 +1,7 @@
 """The host's clock, and device time to host time: offset and drift from (device, arrival) pairs."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from threading import Event
 
@@ -60,7 +61,8 @@ def fit_clock(device_s: Array, host_s: Array) -> ClockFit:
     """
     if len(device_s) < 2:
         raise ValueError(f"{len(device_s)} pairs of device and host time; at least 2 are needed")
-    hull = _lower_hull(device_s, host_s)
+    # Lists: NumPy's scalars, compared one by one, take four times as long.
+    hull = _lower_hull(device_s.tolist(), host_s.tolist())
     middle = float(np.mean(device_s))
     right = int(np.clip(np.searchsorted(device_s[hull], middle), 1, len(hull) - 1))
     a, b = hull[right - 1], hull[right]
@@ -70,7 +72,7 @@ def fit_clock(device_s: Array, host_s: Array) -> ClockFit:
     return ClockFit(offset_s, rate, float(np.median(late)), float(np.max(late)))
 
 
-def _lower_hull(x: Array, y: Array) -> list[int]:
+def _lower_hull(x: Sequence[float], y: Sequence[float]) -> list[int]:
     hull: list[int] = []
     for k in range(len(x)):
         while len(hull) > 1:

@@ -157,6 +157,11 @@ class _Law:
         self._even_s = max(self._step_s, float(np.median(np.diff(t_s))))
         self._at_s = np.arange(t_s[0], t_s[-1], self._even_s)
         self._force_N = np.interp(self._at_s, t_s, force_N)
+        # What arrives first may belong to a path before these samples, which the law does not know.
+        self._first = min(round(self._latest_s / self._even_s), len(self._at_s) // 2)
+        self._decay = float(np.exp(-self._even_s / self._config.high_pass_s))
+        self._fading = self._decay ** np.arange(len(self._at_s) - self._first)
+        self._passed_N = self._passed(self._force_N)
 
     @property
     def changes(self) -> float:
@@ -199,24 +204,25 @@ class _Law:
 
     def _weights(self, columns: Array, delay_s: float) -> tuple[Array, float]:
         count = 1 + self._elastic.shape[1]
-        late = np.column_stack([self._later(columns, delay_s), self._force_N])
-        r: Array = np.asarray(np.linalg.qr(self._passed(late), mode="r"))
+        late = self._passed(self._later(columns, delay_s))
+        r: Array = np.asarray(np.linalg.qr(np.column_stack([self._fading, late, self._passed_N]), mode="r"))
         relaxing, residual = nnls(r[count:, count:-1], r[count:, -1])
         free = np.linalg.lstsq(r[:count, :count], r[:count, -1] - r[:count, count:-1] @ relaxing, rcond=None)[0]
         return np.concatenate([free[1:], relaxing]), residual**2
 
     def _later(self, columns: Array, delay_s: float) -> Array:
-        return np.column_stack([np.interp(self._at_s - delay_s, self.grid_s, column) for column in columns.T])
+        """Return `np.interp` of each column, (n, m), so much later; where an instant lies is looked up once."""
+        at_s = self._at_s - delay_s
+        before = np.clip(np.searchsorted(self.grid_s, at_s, "right") - 1, 0, len(self.grid_s) - 2)
+        left_s, left, right = self.grid_s[before], columns[before], columns[before + 1]
+        slope = (right - left) / (self.grid_s[before + 1] - left_s)[:, None]
+        late = slope * (at_s - left_s)[:, None] + left
+        late[at_s < self.grid_s[0]], late[at_s >= self.grid_s[-1]] = columns[0], columns[-1]
+        return np.asarray(late)
 
     def _passed(self, columns: Array) -> Array:
-        """Return the columns behind the high pass, after what fades of where that begins.
-
-        What arrives first may belong to a path before these samples, which the law does not know.
-        """
-        first = min(round(self._latest_s / self._even_s), len(columns) // 2)
-        decay = float(np.exp(-self._even_s / self._config.high_pass_s))
-        passed = lfilter([1.0, -1.0], [1.0, -decay], columns[first:], axis=0)
-        return np.column_stack([decay ** np.arange(len(passed)), passed])
+        """Return columns behind the high pass, after what fades of where that begins."""
+        return np.asarray(lfilter([1.0, -1.0], [1.0, -self._decay], columns[self._first :], axis=0))
 
 
 def low_pass(columns: Array, constant_s: float, step_s: float) -> Array:

@@ -70,7 +70,8 @@ class FarEnd:
         self.axis.advance(now_s)
         while self.due_s <= now_s:
             self.do_due()
-        self.wire.deliver(now_s)
+        if self.wire.next_arrival_s <= now_s:
+            self.wire.deliver(now_s)
 
     def do_due(self) -> None:
         """Do the task that is due at `due_s`, and set its next time."""

@@ -24,6 +24,7 @@ SETTINGS = {10: 1.0, 13: 0.0, 20: 1.0, 21: 1.0, 22: 1.0, 24: 25.0, 25: 500.0, 27
 
 _WORD = re.compile(rb"([A-Z])(-?(?:\d+\.?\d*|\.\d+))")
 _REAL_TIME_COMMANDS = b"?!~\x18\x84\x85"
+_PIECE = re.compile(rb"[?!~\x18\x84\x85\r\n]|[^?!~\x18\x84\x85\r\n]+")
 
 
 class SimulatedGrbl(FarEnd):
@@ -66,27 +67,27 @@ class SimulatedGrbl(FarEnd):
 
     def take(self, content: bytes, now_s: float) -> None:
         """Receive real-time bytes at once, and lines into the buffer."""
-        for code in content:
-            byte = bytes([code])
-            if byte == grbl.STATUS and self.state != "Home":
+        for piece in _PIECE.findall(content):
+            if piece == grbl.STATUS and self.state != "Home":
                 self._report()
-            elif byte == grbl.HOLD:
+            elif piece == grbl.HOLD:
                 if self.stop_received_s is None:
                     self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving  # noqa: V101
                 self._hold()
-            elif byte == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
+            elif piece == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
                 self._holds_at_s = math.inf
                 self.axis.resume()
                 self.state = "Run" if self.axis.is_moving else "Idle"
-            elif byte == grbl.RESET:
+            elif piece == grbl.RESET:
                 self._reset()
-            elif byte == grbl.DOOR:
+            elif piece == grbl.DOOR:
                 self.open_door()
-            elif byte in b"\r\n":
+            elif piece in b"\r\n":
                 self._lines.append(self._received)
                 self._received = b""
-            elif byte not in _REAL_TIME_COMMANDS and sum(map(len, [*self._lines, self._received])) < RECEIVE_BYTES - 1:
-                self._received += byte
+            elif piece not in _REAL_TIME_COMMANDS:
+                used = sum(map(len, (*self._lines, self._received)))
+                self._received += piece[: max(0, RECEIVE_BYTES - 1 - used)]
         self._work()
 
     def next_event_s(self) -> float:

@@ -37,6 +37,7 @@ class Axis:
         self.queue: deque[QueuedMove] = deque()
         self.is_on_hold = False
         self.standstills_s: deque[float] = deque(maxlen=100)
+        self._block, self._leave_mm_s = (1.0, 0.0, 0.0), 0.0
         self._set_phases(())
 
     @property
@@ -45,7 +46,8 @@ class Axis:
 
     def add(self, block: QueuedMove) -> None:
         self.queue.append(block)
-        if not self.is_on_hold:
+        # Planned anew from here, the same way would differ in the last digit: units computed ahead would go back.
+        if not self.is_on_hold and not (self._phases and self._exit_speed(*self._block) == self._leave_mm_s):
             self._plan()
 
     def hold(self) -> None:
@@ -100,13 +102,19 @@ class Axis:
             if self._phases:
                 self._update_position(now_s - self._began_s)
 
-    def positions_mm(self, times_s: Iterable[float]) -> list[float]:
-        """Return the positions of the carriage at later, ascending times, without further commands."""
+    def positions_mm(self, times_s: Iterable[float], is_fed: bool = False) -> list[float]:
+        """Return the positions of the carriage at later, ascending times, without further commands.
+
+        Args:
+            is_fed: further commands come in time: end where the carriage would brake for want of them.
+        """
         ahead = copy(self)
         ahead.queue, ahead._phases, ahead.standstills_s = copy(self.queue), copy(self._phases), deque()
         positions_mm = []
         for time_s in times_s:
             ahead.advance(time_s)
+            if is_fed and self._phases and len(ahead.queue) <= 1 and len(ahead._phases) <= 1:
+                break
             positions_mm.append(ahead.position_mm)
         return positions_mm
 
@@ -134,7 +142,8 @@ class Axis:
         direction = math.copysign(1.0, block.target_mm - self.position_mm)
         distance = abs(block.target_mm - self.position_mm)
         entry = max(0.0, self.velocity_mm_s * direction)
-        leave = self._exit_speed(direction, distance, entry)
+        self._block = direction, distance, entry
+        leave = self._leave_mm_s = self._exit_speed(*self._block)
         self._set_phases(_trapezoid(distance, entry, block.speed_mm_s, leave, self.acceleration_mm_s2, direction))
 
     def _exit_speed(self, direction: float, distance: float, entry: float) -> float:

@@ -139,10 +139,10 @@ class SimulatedRig:
             return ()  # How far it sinks depends on the reading before.
         later_s = (s for s in merge(*(sampler.coming_s() for sampler in self.samplers)) if s > self._read_s)
         times_s = [s for s, _ in islice(groupby(later_s), count)]
-        counted_mm = self.axis.positions_mm(times_s)
+        counted_mm = self.axis.positions_mm(times_s, is_fed=True)
         return [
             (s - self._mounted_s, self._carriage_at_mm(mm) - self.clearance_mm)
-            for s, mm in zip(times_s, counted_mm, strict=True)
+            for s, mm in zip(times_s, counted_mm, strict=False)
         ]
 
     def _carriage_at_mm(self, counted_mm: float) -> float:

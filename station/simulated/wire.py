@@ -2,7 +2,6 @@
 
 import math
 import os
-import select
 import socket
 from collections import deque
 from typing import TypeAlias
@@ -22,39 +21,38 @@ class PtyEnd:
         import pty  # Not on Windows.  # noqa: PLC0415
         import tty  # noqa: PLC0415
 
-        self._master, slave = pty.openpty()
+        self.descriptor, slave = pty.openpty()
         tty.setraw(slave)
-        os.set_blocking(self._master, False)
+        os.set_blocking(self.descriptor, False)
         self.port = os.ttyname(slave)
         # Kept open until the host opens it: a pty without a slave reports an error to its master.
         self._slave = slave
-        self._poller = select.poll()
-        self._poller.register(self._master, select.POLLIN)
 
     def read(self) -> bytes:
         content = b""
-        if not self._poller.poll(0):
-            return content  # Far cheaper than a read that fails, and asked at every step of the world.
         try:
             # One read may give less than was written; what comes a step later would be another simulation.
             while True:
-                content += os.read(self._master, 65536)
+                content += os.read(self.descriptor, 65536)
         except BlockingIOError:
             return content
 
     def write(self, content: bytes) -> None:
         try:
-            os.write(self._master, content)
+            os.write(self.descriptor, content)
         except BlockingIOError:
             return
 
     def hang_up(self) -> None:
         os.close(self._slave)
-        os.close(self._master)
+        os.close(self.descriptor)
 
 
 class SocketEnd:
     """An instrument on the network: a TCP server that talks to one host at a time."""
+
+    descriptor: int | None = None
+    """Both the server and its host may have something."""
 
     def __init__(self) -> None:
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -139,7 +137,7 @@ class Wire:
     def __init__(self, rng: np.random.Generator, medium: Medium | None = None) -> None:
         self._rng, self.delay_s, self.jitter_s, self.stall_s = rng, 0.001, 0.002, 0.1
         self._medium = medium or serial_line()
-        self.port = self._medium.port
+        self.port, self.descriptor = self._medium.port, self._medium.descriptor
         self._outbox: deque[tuple[float, bytes]] = deque()
         self.next_arrival_s = math.inf
         """When the next bytes reach the host; infinity when none are on the way."""
@@ -185,6 +183,9 @@ class Wire:
         self.next_arrival_s = self._outbox[0][0] if self._outbox else math.inf
 
     def _with_faults(self, content: bytes) -> list[bytes]:
+        shares = self.loss, self.garbage, self.torn, self.flipped, self.swapped, self.repeat
+        if not any(shares) and not self._delayed:
+            return [content]
         if self._draw(self.loss):
             return []
         if self._draw(self.garbage):

@@ -4,8 +4,8 @@ import os
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from serial.tools import list_ports
 
@@ -24,8 +24,7 @@ MAX_LINE_BYTES = 4096
 """More bytes than this without a line end is not a text device."""
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One line without its end, and the host time of its last byte."""
 
     text: bytes

@@ -1,6 +1,7 @@
 """Transport of a link: a serial port, a TCP socket, a VISA resource or a Bluetooth UART, chosen by the name."""
 
 import importlib
+import os
 import re
 import select
 import socket
@@ -86,11 +87,17 @@ class SerialTransport:
         if not self._serial.is_open:
             raise OSError("the port is closed")
         content = b""
+        if self._poller is None:
+            return bytes(self._serial.read(65536))
         # pyserial asks the system for the same, five times as slowly, and nearly always nothing has arrived. One read
         # may give less than has arrived (a tty hands over what its line discipline has taken so far).
-        while self._poller is None or self._poller.poll(0):
-            if not (piece := self._serial.read(65536)):
+        while self._poller.poll(0):
+            try:
+                piece = os.read(self._serial.fileno(), 65536)
+            except BlockingIOError:
                 break
+            if not piece:
+                raise OSError("the device is gone")
             content += piece
         return content
 

@@ -5,9 +5,9 @@ Without it a lost byte can turn 1012 into 112 and nobody can tell; the readout s
 """
 
 import re
-from dataclasses import dataclass
 from functools import reduce
 from operator import xor
+from typing import NamedTuple
 
 from softcal.core.errors import BadReply
 from softcal.core.messages.reason import reason
@@ -16,8 +16,7 @@ _NUMBERS = re.compile(rb"\d+(,-?\d+)+")
 """int() alone would take "1_0", " 7" and "+7"."""
 
 
-@dataclass(frozen=True)
-class StreamLine:
+class StreamLine(NamedTuple):
     """One line: the device's milliseconds (0 ... 2**32 - 1) and an integer per channel."""
 
     device_ms: int
