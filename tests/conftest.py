@@ -14,6 +14,7 @@ import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,8 @@ DEAREST = 20
 """Tests of which the end of a run says what CPU they took."""
 
 _BEGAN: dict[str, float] = {}
+
+_NUMBERS = count()
 
 _MAIN_MODULE = sys.modules["__main__"]
 
@@ -131,6 +134,18 @@ def data_of_the_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
         yield
 
 
+def _fresh_folder(tmp_path_factory: pytest.TempPathFactory, name: str) -> Path:
+    """Make a folder for one test; pytest looks at all that are there for the next number, thousands for each test."""
+    folder = tmp_path_factory.getbasetemp() / f"{re.sub(r'[^A-Za-z0-9_]', '_', name)[:30]}-{next(_NUMBERS)}"
+    folder.mkdir(mode=0o700)
+    return folder
+
+
+@pytest.fixture
+def tmp_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _fresh_folder(tmp_path_factory, request.node.name)
+
+
 @pytest.fixture(autouse=True)
 def isolated_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """No test writes into the logs or data of the person who runs it, or finds there what another test left.
@@ -138,7 +153,7 @@ def isolated_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pyte
     Copies of one registry have one identity: what a test writes down about one copy would speak against the next.
     """
     monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path_factory.getbasetemp() / "logs"))
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
+    monkeypatch.setenv("XDG_DATA_HOME", str(_fresh_folder(tmp_path_factory, "data")))
 
 
 @pytest.fixture(scope="session", autouse=True)
