@@ -195,7 +195,7 @@ class _Law:
         """Return the force on the grid, and the force after the response of the cell."""
         filtered = low_pass(self._columns, fit.constant_s, self._step_s)
         weights, _ = self._weights(filtered, fit.delay_s)
-        level_N = float(np.mean(self._force_N - self._later(filtered, fit.delay_s) @ weights))
+        level_N = float(np.mean(self._force_N - columns_at(self._at_s - fit.delay_s, self.grid_s, filtered) @ weights))
         late = np.interp(self.grid_s - fit.delay_s, self.grid_s, filtered @ weights)
         return level_N + self._columns @ weights, level_N + late
 
@@ -204,25 +204,25 @@ class _Law:
 
     def _weights(self, columns: Array, delay_s: float) -> tuple[Array, float]:
         count = 1 + self._elastic.shape[1]
-        late = self._passed(self._later(columns, delay_s))
+        late = self._passed(columns_at(self._at_s - delay_s, self.grid_s, columns))
         r: Array = np.asarray(np.linalg.qr(np.column_stack([self._fading, late, self._passed_N]), mode="r"))
         relaxing, residual = nnls(r[count:, count:-1], r[count:, -1])
         free = np.linalg.lstsq(r[:count, :count], r[:count, -1] - r[:count, count:-1] @ relaxing, rcond=None)[0]
         return np.concatenate([free[1:], relaxing]), residual**2
 
-    def _later(self, columns: Array, delay_s: float) -> Array:
-        """Return `np.interp` of each column, (n, m), so much later; where an instant lies is looked up once."""
-        at_s = self._at_s - delay_s
-        before = np.clip(np.searchsorted(self.grid_s, at_s, "right") - 1, 0, len(self.grid_s) - 2)
-        left_s, left, right = self.grid_s[before], columns[before], columns[before + 1]
-        slope = (right - left) / (self.grid_s[before + 1] - left_s)[:, None]
-        late = slope * (at_s - left_s)[:, None] + left
-        late[at_s < self.grid_s[0]], late[at_s >= self.grid_s[-1]] = columns[0], columns[-1]
-        return np.asarray(late)
-
     def _passed(self, columns: Array) -> Array:
         """Return columns behind the high pass, after what fades of where that begins."""
         return np.asarray(lfilter([1.0, -1.0], [1.0, -self._decay], columns[self._first :], axis=0))
+
+
+def columns_at(at_s: Array, grid_s: Array, columns: Array) -> Array:
+    """Return `np.interp` of each column, (n, m) over the grid; where an instant lies is looked up once for all."""
+    before = np.clip(np.searchsorted(grid_s, at_s, "right") - 1, 0, len(grid_s) - 2)
+    left_s, left = grid_s[before], columns[before]
+    slope = (columns[before + 1] - left) / (grid_s[before + 1] - left_s)[:, None]
+    values = slope * (at_s - left_s)[:, None] + left
+    values[at_s < grid_s[0]], values[at_s >= grid_s[-1]] = columns[0], columns[-1]
+    return np.asarray(values)
 
 
 def low_pass(columns: Array, constant_s: float, step_s: float) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softcal.core.errors import BadReply
 from softcal.core.profiles import moves, ramps, source_profile
@@ -14,7 +15,7 @@ from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.motion.monitored_bench import MonitoredBench
 from softcal.station.record.method import METHOD
-from softcal.station.record.response import fit_response
+from softcal.station.record.response import columns_at, fit_response
 from softcal.station.tasks.acquisition import record
 from softcal.station.testing.faults import filter_cell, limit_speed
 from tests.layers import layered
@@ -132,7 +133,12 @@ def test_a_cell_that_follows_no_faster_than_so_gives_no_labels(fastest_N_s):
 
 def behind_low_pass(values, constant_s):
     """In steps of a millisecond."""
-    level, decay, filtered = values[0], np.exp(-0.001 / constant_s), np.empty_like(values)
-    for k, value in enumerate(values):
-        level = filtered[k] = value + (level - value) * decay
-    return filtered
+    decay = np.exp(-0.001 / constant_s)
+    return lfilter([1.0 - decay], [1.0, -decay], values, zi=[decay * values[0]])[0]
+
+
+def test_columns_are_interpolated_as_numpy_does_to_the_last_digit(rng):
+    grid_s, columns = np.arange(3.0, 13.0, 0.01), rng.normal(0.0, 1.0, (1000, 5))
+    at_s = np.concatenate([rng.uniform(2.0, 14.0, 3000), grid_s, [3.0, grid_s[-1]]])
+    expected = np.column_stack([np.interp(at_s, grid_s, column) for column in columns.T])
+    assert columns_at(at_s, grid_s, columns).tobytes() == expected.tobytes()
