@@ -424,13 +424,22 @@ def _genuine_probabilities(
     if ids not in memo:
         config, result = search.model.method.presence, search.fits[ids]
         complete, rest = _completeness(search, result), rest_energy(result, noise_chance(result))
-        consistent = {i: consistency_of(result, i, rest).genuine_chance(config) for i in ids}
-        genuine = {i: complete + (1.0 - complete) * chance for i, chance in consistent.items()}
+        each = {
+            i: consistency_of(result, i, rest, [row for j, rows in search.laws.items() if j != i for row in rows])
+            for i in ids
+        }
+        # A law that goes to its bound takes the shape of another one, and leaves no more than that one would.
+        if config.of_bound and any(one.is_on_bound for one in each.values()):
+            complete = 0.0
+        genuine = {i: complete + (1.0 - complete) * one.genuine_chance(config) for i, one in each.items()}
         memo[ids] = dict(genuine)
-        # Beside one that imitates, the others stand as they do without it.
+        # Beside one that imitates, the others stand as they do without it, so far as the two cancel.
         for j, smaller in one_less(search.fits, result).items():
-            without = _genuine_probabilities(search, smaller.ids, memo)
-            memo[ids] |= {i: max(memo[ids][i], (1.0 - genuine[j]) * without[i]) for i in smaller.ids}
+            without, imitates = _genuine_probabilities(search, smaller.ids, memo), 1.0 - genuine[j]
+            for i in smaller.ids:
+                with_it = memo[ids][i]
+                lost = imitates * each[i].cancelled * max(with_it - without[i], 0.0)
+                memo[ids][i] = max(with_it - lost, imitates * without[i])
     return memo[ids]
 
 

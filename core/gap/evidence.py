@@ -14,7 +14,7 @@ from scipy.special import expit, logit, softmax
 
 from softcal.core.gap.fit import Map, Regime, Tangent, exact_log_evidence, fit, form_of, share_of_gap, structure
 from softcal.core.gap.hypothesis import from_fit, start_coordinates
-from softcal.core.gap.linear import energy, orthonormal
+from softcal.core.gap.linear import energy, orthonormal, projected
 from softcal.core.gap.method import PresenceConfig
 from softcal.core.gap.model import Fit, Fits
 from softcal.core.messages.reason import Reason, reason, with_sentences
@@ -176,20 +176,28 @@ class Consistency:
         cancelled: share of what the base leaves of its signature that the other causes cancel: two that imitate a
             third by their difference cancel nearly all.
         is_on_bound: whether a parameter ends on a bound: its law wants to be another one.
+        bent: share of the rest that the cause takes where its size may follow the state: then a law that resembles
+            this one may be at work.
+        kin: share of its signature that another law of the list takes: one that resembles it was tried, and lost.
     """
 
     energy_share: float
     disagreement: float
     cancelled: float = 0.0
     is_on_bound: bool = False
+    bent: float = 0.0
+    kin: float = 0.0
 
     def genuine_chance(self, config: PresenceConfig) -> float:
         """Return how likely a cause that stands so to a rest is there, and imitates nothing."""
         apart = np.log(min(max(self.disagreement, 1e-3), 1e300) / config.disagreement)
         odds = logit(np.clip(self.energy_share, 0.0, 1.0))
-        against = config.of_disagreement * apart - config.of_cancelled * np.log1p(-min(self.cancelled, 1.0 - 1e-9))
-        against += config.of_bound * self.is_on_bound
-        return float(expit(config.of_share * (odds - config.share_odds) - against))
+        cancelled = np.log1p(-min(self.cancelled, 1.0 - 1e-9))
+        carries = config.of_share * (odds - config.share_odds) - config.of_disagreement * apart
+        # Beside what a cause takes stands what it leaves: where that has its own shape, its law is another one.
+        bent = self.bent if self.kin < config.tried else 0.0
+        fits = config.bent_odds - config.of_bent * bent - config.of_bound * self.is_on_bound
+        return float(expit(carries + config.of_cancelled * cancelled) * expit(fits))
 
 
 def signature(result: Fit, effect_id: str) -> Array:
@@ -213,8 +221,12 @@ def rest_energy(result: Fit, noise_chance: float) -> float:
     return max(energy(result.residual) - count, residual.rms**2 * count if residual.is_significant else 0.0, min_energy)
 
 
-def consistency_of(result: Fit, effect_id: str, rest: float) -> Consistency:
-    """Return how a cause of a fit stands to the rest that the fit leaves, in units of χ²."""
+def consistency_of(result: Fit, effect_id: str, rest: float, laws: Iterable[Array] = ()) -> Consistency:
+    """Return how a cause of a fit stands to the rest that the fit leaves, in units of χ².
+
+    Args:
+        laws: what the other laws of the list do to the base, under several shapes.
+    """
     config, change, at = result.problem.method.presence, signature(result, effect_id), result.hypothesis.slices
     # Of its signature what no other fitted parameter imitates.
     others = np.delete(result.jacobian, range(at[effect_id].start, at[effect_id].stop), axis=0)
@@ -230,12 +242,27 @@ def consistency_of(result: Fit, effect_id: str, rest: float) -> Consistency:
             # A part where the cause does not act asks for nothing.
             if part_energy > config.acts * visible_energy:
                 pulled += float(visible[part] @ result.residual[part]) ** 2 / part_energy
-    beyond_base = energy(Tangent(result, base_only=True).visible(change))
+    base = Tangent(result, base_only=True)
+    own = base.visible(change)
+    beyond_base = energy(own)
     cancelled = float(np.clip(1.0 - visible_energy / beyond_base, 0.0, 1.0)) if beyond_base > 0.0 else 0.0
     is_on_bound = any(name.startswith(f"{effect_id}.") for name in bounds_reached(result))
-    return Consistency(
-        visible_energy / (visible_energy + rest), float(np.sqrt(pulled / visible_energy)), cancelled, is_on_bound
-    )
+    bent = bent_share(result, change, rest) if config.of_bent and rest > 0.0 else 0.0
+    share, disagreement = visible_energy / (visible_energy + rest), float(np.sqrt(pulled / visible_energy))
+    rows = [row for row in map(base.visible, laws) if energy(row) > 0.0]
+    kin = max((float(own @ row) ** 2 / (beyond_base * energy(row)) for row in rows), default=0.0)
+    return Consistency(share, disagreement, cancelled, is_on_bound, bent, kin)
+
+
+def bent_share(result: Fit, change: Array, rest: float) -> float:
+    """Return which share of a rest a signature takes whose size follows the state of the mechanism."""
+    rows = [
+        change * np.append(state, np.zeros(len(change) - len(state))) for state in result.problem.model.states(result)
+    ]
+    visible = projected(rows, result.jacobian)
+    # Each direction takes 1 off χ² by chance.
+    taken = float(np.sum((visible @ result.residual) ** 2)) - len(visible) if len(visible) else 0.0
+    return float(np.clip(taken / rest, 0.0, 1.0))
 
 
 def list_completeness(noise_chance: float, rest_share: float, has_unlisted: bool, config: PresenceConfig) -> float:

@@ -354,8 +354,12 @@ class PresenceConfig:
     # disagreement, of_disagreement: relative disagreement of the parts at which it is so, and its weight.
     disagreement: float = setting(0.13)
     of_disagreement: float = setting(2.0)
-    # of_cancelled, of_bound: weight of what other causes leave of its signature, and of a parameter on its bound.
-    of_cancelled: float = setting(0.0)
+    of_cancelled: float = setting(0.0)  # weight of what other causes leave of its signature.
+    # bent_odds, of_bent, of_bound: log odds that a law is the one at work where the rest has nothing of its shape; what
+    # they lose where it has, and where a parameter stands on its bound. The catalogue fits other forms of its laws.
+    bent_odds: float = setting(40.0)
+    of_bent: float = setting(0.0)
+    tried: float = setting(0.65)  # share of a signature that another law of the list takes from which such laws lost.
     of_bound: float = setting(0.0)
     hides: float = setting(0.0)  # how likely an effect that no hypothesis has is there beside a rest.
     certain: float = setting(0.9)  # probability from which a cause is named beside a rest.
@@ -402,14 +406,17 @@ class GapMethod(NumberedMethod):
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
     presence: PresenceConfig = field(default_factory=PresenceConfig)
     # A foreign list is short: a small rest is another law far more often than in the catalogue. Its numbers were chosen
-    # by benchmarks/gap_rigs.py presence, mechanisms 101-210 and, withheld, 1101-1156, and by the measured axis.
+    # on linear least squares over drawn mechanisms, 20200-20400 and, withheld, 21000-21083, and on the measured axis.
     simulator_presence: PresenceConfig = field(
         default_factory=lambda: PresenceConfig(
-            of_share=0.8,
-            disagreement=0.34,
-            of_disagreement=1.8,
-            of_cancelled=3.0,
-            of_bound=8.0,
+            share_odds=0.14,
+            of_share=1.1,
+            disagreement=1.0,
+            of_disagreement=0.5,
+            of_cancelled=0.6,
+            bent_odds=3.5,
+            of_bent=3.7,
+            of_bound=5.0,
             open_law=0.0,
             hides=0.015,
         )

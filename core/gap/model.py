@@ -147,6 +147,14 @@ class Model(ABC):
     def load_of(self, result: Fit) -> Array:
         """Return (samples,) how much the mechanism is loaded."""
 
+    def states(self, result: Fit) -> Sequence[Array]:
+        """Return (samples,) each, of what the size of a cause may depend; none where the list has every law's forms."""
+        return ()
+
+    def laws(self, base: Fit) -> Mapping[str, Sequence[Array]]:
+        """Return by candidate (samples,) whitened changes of the prediction, one for each of several shapes."""
+        return {}
+
     @abstractmethod
     def axes_of(self, result: Fit, run: int) -> tuple[str, Array, Array]:
         """Return the column that drives a run, its values and the load, (n,) each, as a figure shows them."""

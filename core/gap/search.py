@@ -10,6 +10,7 @@ changes with load and time. Where that explains nearly as much, these runs do no
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -91,6 +92,11 @@ class Search:
         self.unmodelled: Fit | None = None
         self.not_excluded: dict[str, Fit] = {}
         """Causes that another equation of those beside them explains as well, with fits."""
+
+    @cached_property
+    def laws(self) -> Mapping[str, Sequence[Array]]:
+        """By candidate, (samples,) what it does to the base under every shape that was tried."""
+        return self.model.laws(self.base) if self.model.method.presence.of_bent else {}
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""

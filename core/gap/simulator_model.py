@@ -49,6 +49,7 @@ from softcal.core.gap.simulator_reach import (
     find_strays,
     recording_mistakes,
     shifted,
+    states_of,
     terms_of,
 )
 from softcal.core.messages.reason import Reason, reason
@@ -362,6 +363,16 @@ class SimulatorModel(ReportingModel):
 
     def load_of(self, result: Fit) -> Array:
         return result.predicted
+
+    def states(self, result: Fit) -> list[Array]:
+        return states_of(self.simulator, result)
+
+    def laws(self, base: Fit) -> dict[str, list[Array]]:
+        space = Tangent(base)
+        return {
+            effect.id: [space.signature(Probe(effect, row, effect.is_one_sided)) for row in rows_over_bounds(effect)]
+            for effect in self.candidates
+        }
 
     def axes_of(self, result: Fit, run: int) -> tuple[str, Array, Array]:
         name, load = next(iter(self.simulator.inputs), "t_s"), self.simulator.channels[0]

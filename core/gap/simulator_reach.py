@@ -185,17 +185,41 @@ def columns_of(signal: Array, run: Run, times: float, config: NoiseFloorConfig) 
     Args:
         times: by what this rig is slower than a common one; memories fade by so much more slowly.
     """
-    rate, hats = np.gradient(signal, run.t_s), config.hats
+    rate = np.gradient(signal, run.t_s)
     way, quick = np.sign(rate), np.gradient(rate, run.t_s)
-    centres = [2.0 * k / (hats - 1) - 1.0 for k in range(hats)]
     memories = [low_pass(signal, run.step_s, times * tau_s, np.zeros(2)) for tau_s in config.memory_s]
     return {
-        "level": [np.maximum(0.0, 1.0 - 0.5 * (hats - 1) * np.abs(signal - centre)) for centre in centres],
+        "level": _hats(signal, config.hats),
         "way": [way, signal * way, signal**2 * way],
         "rate": [rate, np.abs(rate), rate * np.abs(rate), signal * rate, quick],
         "memory": [*memories, *(signal * remembered for remembered in memories)],
         "time": [run.elapsed_s, signal * run.elapsed_s],
     }
+
+
+def _hats(signal: Array, count: int) -> list[Array]:
+    """Return how near a signal within −1 and 1 is to each of several levels: what is linear between them."""
+    centres = [2.0 * k / (count - 1) - 1.0 for k in range(count)]
+    return [np.maximum(0.0, 1.0 - 0.5 * (count - 1) * np.abs(signal - centre)) for centre in centres]
+
+
+def _within(parts: Sequence[Array]) -> list[Array]:
+    """Return a signal, run by run, within −1 and 1 over all runs."""
+    low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+    return [(2.0 * part - low - high) / max(high - low, 1e-300) for part in parts]
+
+
+def states_of(simulator: Simulator, result: Fit) -> list[Array]:
+    """Return (samples,) of what the size of a cause may depend: levels and sizes of every signal, and the time."""
+    problem, hats = result.problem, result.problem.method.noise_test.hats
+    runs, out = [problem.case.runs[block.run] for block in problem.blocks], list[Array]()
+    longest_s = max(float(run.elapsed_s[-1]) for run in runs)
+    of_runs = [*map(_within, _signals(simulator, result).values())]
+    for scaled in of_runs:
+        x = np.concatenate([scaled[block.run] for block in problem.blocks])
+        out += [*_hats(x, hats), np.abs(x), x**2]
+    time = np.concatenate([run.elapsed_s for run in runs]) / longest_s
+    return [*out, time, time**2]
 
 
 def explanatory_signals(simulator: Simulator, result: Fit, channel: str) -> list[Sequence[Array]]:
@@ -204,11 +228,8 @@ def explanatory_signals(simulator: Simulator, result: Fit, channel: str) -> list
     times = problem.model.times_slower(problem.case)
     runs, blocks = problem.case.runs, problem.blocks_of(channel)
     for parts in _signals(simulator, result).values():
-        low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-        scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
-        each = [
-            columns_of(x, runs[b.run], times, problem.method.noise_test) for x, b in zip(scaled, blocks, strict=True)
-        ]
+        scaled = _within(parts)
+        each = [columns_of(scaled[b.run], runs[b.run], times, problem.method.noise_test) for b in blocks]
         for kind in each[0]:
             rows = np.zeros((len(each[0][kind]), len(result.predicted)))
             for block, columns in zip(blocks, each, strict=True):

@@ -102,6 +102,119 @@ def test_how_a_cause_stands_to_a_rest_is_that_of_its_algebra():
     assert not consistency.is_on_bound
 
 
+def test_what_a_rest_has_of_the_shape_of_a_cause_is_that_of_its_algebra():
+    """The bend at a size of its own for every level of x and y, and in time, beside what the fit takes."""
+    runs = with_rest(0.2)
+    fit = fitted(problem_of(runs), BEND)
+    columns, y, x = design(runs, "bend"), measured(runs), np.concatenate([run.columns["x"] for run in runs])
+    t_s = np.concatenate([run.elapsed_s for run in runs]) / max(run.elapsed_s[-1] for run in runs)
+    states = [t_s, t_s**2]
+    for signal in (x, columns @ np.linalg.lstsq(columns, y, rcond=None)[0]):
+        scaled = 2.0 * (signal - signal.min()) / np.ptp(signal) - 1.0
+        hats = [np.maximum(0.0, 1.0 - 2.5 * np.abs(scaled - level)) for level in (-1.0, -0.6, -0.2, 0.2, 0.6, 1.0)]
+        states += [*hats, np.abs(scaled), scaled**2]
+    residual = left_of(columns, y) / SIGMA
+    rows = np.array([left_of(columns, state * x**2) for state in states])
+    size = np.linalg.norm(rows, axis=1)
+    axes, strength, _ = np.linalg.svd((rows / size[:, None]).T, full_matrices=False)
+    axes = axes[:, strength**2 > 1e-6 * strength[0] ** 2]
+    rest = residual @ residual - len(y)
+    expected = (np.sum((axes.T @ residual) ** 2) - axes.shape[1]) / rest
+    assert consistency_of(fit, "bend", 2.0 * rest).bent == pytest.approx(expected / 2.0, abs=2e-3)
+    assert consistency_of(fit, "bend", rest).bent == 1.0
+    assert consistency_of(fit, "bend", 0.0).bent == 0.0
+
+
+def test_a_law_of_the_list_that_resembles_a_cause_is_its_kin():
+    """The squared cosine of bend and kink, beyond level and slope."""
+    runs = with_rest(0.2)
+    fit = fitted(problem_of(runs), BEND)
+    columns = design(runs, "bend", "kink", "ripple")
+    bend, kink, ripple = (left_of(columns[:, :2], column) for column in columns.T[2:])
+    expected = (bend @ kink) ** 2 / ((bend @ bend) * (kink @ kink))
+    rows = [np.array(column) for column in (columns[:, 4], columns[:, 3], columns[:, 1])]
+    assert consistency_of(fit, "bend", 1.0, rows).kin == pytest.approx(expected, abs=1e-6)
+    assert (bend @ ripple) ** 2 / ((bend @ bend) * (ripple @ ripple)) < expected
+    assert consistency_of(fit, "bend", 1.0).kin == 0.0
+
+
+FOREIGN = METHOD.for_simulators.presence
+
+
+def test_a_rest_of_its_own_shape_speaks_against_a_law_unless_its_kin_was_tried():
+    chances = [Consistency(0.99, 0.03, bent=bent).genuine_chance(FOREIGN) for bent in (0.0, 0.5, 0.9, 1.0)]
+    assert chances == sorted(chances, reverse=True) and chances[0] > 0.9 > 0.7 > chances[2]
+    assert Consistency(0.99, 0.03, bent=1.0, kin=0.9).genuine_chance(FOREIGN) == chances[0]
+    assert Consistency(0.99, 0.03, bent=1.0, kin=0.5).genuine_chance(FOREIGN) == chances[-1]
+    assert Consistency(1.0, 0.001, is_on_bound=True).genuine_chance(FOREIGN) < 0.3
+    assert Consistency(1.0, 0.001).genuine_chance(FOREIGN) > 0.95
+    # The catalogue fits other forms of its laws.
+    assert Consistency(1.0, 0.001, is_on_bound=True, bent=1.0).genuine_chance(METHOD.presence) == 1.0
+
+
+def rubbing(inputs, p):
+    v = inputs["v_m_s"]
+    way = np.tanh(v / 0.01)
+    out = p["mass"] * inputs["a_m_s2"] + p["viscous"] * v + p["dry_friction.size"] * way
+    out = out + p["drag.size"] * v * np.abs(v) + p["spring.size"] * inputs["q_m"]
+    return {"F_N": out + p["stribeck.size"] * way * np.exp(-((v / p["stribeck.speed"]) ** 2))}
+
+
+RUBBING = Simulator(
+    "slide",
+    rubbing,
+    ("q_m", "v_m_s", "a_m_s2"),
+    ("F_N",),
+    (Parameter("mass", "kg", 0.0, 50.0, 1.0), Parameter("viscous", "N·s/m", -50.0, 50.0, 1.0)),
+    tuple(
+        candidate(name, "guide", Parameter("size", "N", -30.0, 30.0, 1.0, neutral=0.0), *more)
+        for name, more in {
+            "dry_friction": (),
+            "drag": (),
+            "spring": (),
+            "stribeck": (Parameter("speed", "m/s", 0.15, 0.6, 0.3, scale="log"),),
+        }.items()
+    ),
+)
+
+
+def rubbed(simulator, **sizes):
+    """Recorded runs of three speeds; noise of a fiftieth."""
+    rng, runs, off = np.random.default_rng(3), [], RUBBING.neutral_values | {"stribeck.speed": 0.3}
+    for run, fastest in enumerate((1.0, 3.0, 0.5)):
+        t_s, turns = np.arange(0.0, 20.0, 0.04), np.array([0.3, 0.55, 0.8, 1.0]) * fastest
+        phases, sizes_m = rng.uniform(0.0, 6.0, 4), 0.3 / np.array([0.3, 0.55, 0.8, 1.0])
+        angle = turns[:, None] * t_s + phases[:, None]
+        columns = {
+            "t_s": t_s,
+            "q_m": 0.4 * sizes_m @ np.sin(angle),
+            "v_m_s": 0.4 * (sizes_m * turns) @ np.cos(angle),
+            "a_m_s2": -0.4 * (sizes_m * turns**2) @ np.sin(angle),
+        }
+        values = {"mass": 1.3, "viscous": 0.8} | off | {f"{name}.size": size for name, size in sizes.items()}
+        force_N = rubbing(columns, values)["F_N"] + rng.normal(0.0, 0.02, len(t_s))
+        runs.append(recorded(simulator, str(run + 1), columns | {"F_N": force_N}))
+    return runs
+
+
+def without(name):
+    return replace(
+        RUBBING,
+        run=lambda i, p: rubbing(i, RUBBING.neutral_values | {"stribeck.speed": 0.3} | dict(p)),
+        candidates=tuple(c for c in RUBBING.candidates if c.id != name),
+    )
+
+
+@pytest.mark.parametrize(("hidden", "twin"), [("stribeck", "dry_friction"), ("dry_friction", "stribeck")])
+def test_a_law_that_is_not_in_the_list_is_not_named_by_the_one_that_resembles_it(hidden, twin):
+    """Friction that falls with speed, or does not: alone each takes 95 % of the other's gap and more."""
+    listed = without(hidden)
+    chances = {c.effect: c.probability for c in diagnose_simulator(listed, rubbed(listed, **{hidden: 1.0})).causes}
+    assert max(chances.values()) < 0.9
+    chances = {c.effect: c.probability for c in diagnose_simulator(RUBBING, rubbed(RUBBING, **{hidden: 1.0})).causes}
+    assert chances[hidden] > 0.9 > 0.5 > chances[twin]
+
+
 def test_more_of_the_gap_and_less_disagreement_make_a_cause_likelier():
     chances = [
         Consistency(explained, 0.15).genuine_chance(METHOD.presence)
