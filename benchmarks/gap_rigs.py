@@ -6,6 +6,7 @@ python benchmarks/gap_rigs.py transfer --cases 6 --units 3 --seed 4000
 python benchmarks/gap_rigs.py plants               10 plants that chose nothing; --first 6000: others
 python benchmarks/gap_rigs.py measured             measured systems beside plain least squares, on runs held out
 python benchmarks/gap_rigs.py presence             drawn mechanisms with a rest: are probabilities what they say?
+python benchmarks/gap_rigs.py withheld             the effect at work taken out of the catalogue: is another one named?
 python benchmarks/gap_rigs.py blind                a fresh seed of 128 bits, printed; --seed 7: the same rigs again
 """
 
@@ -47,12 +48,13 @@ from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import Diagnosis
 from softcal.core.gap.fault_location import explained_twin
 from softcal.core.gap.simulator_model import diagnose_simulator
-from softcal.core.gap.twin import diagnose
+from softcal.core.gap.twin import TwinModel, diagnose
 from softcal.core.lot_diagnosis import LotDiagnosis, diagnose_lot
 from softcal.core.metrics import wilson
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth
 from softcal.core.transfer import transfer as transferred
+from softcal.core.twin.catalogue import EFFECTS
 
 Row = tuple[object, ...]
 
@@ -359,6 +361,49 @@ def score_mechanism(seed: int, law: str | None) -> dict[str, Any]:
     return stored | {"verdict": diagnosis.verdict, "is_inside": is_inside}
 
 
+# The catalogue without the effect at work.
+
+
+def withheld(options: argparse.Namespace) -> None:
+    """Rigs with one effect of the usual size that is taken out of the catalogue: whatever is named then is wrong.
+
+    Right is `unknown`, or `explained_in_part`, with the stage of the effect first. Rigs from 5000 on chose nothing.
+    """
+    cache, outcomes = ResultCache(options.kept), list[dict[str, Any]]()
+
+    def rows() -> Iterator[Row]:
+        for seed in range(options.first, options.first + options.count):
+            read = cache.get(str(seed), lambda: score_withheld(seed))  # noqa: B023
+            outcomes.append(read)
+            named = ", ".join(f"{i} {p:.2f}" for i, p in read["named"].items())
+            yield seed, read["hidden"], read["verdict"], named, read["stage"], "yes" if read["is_located"] else "no"
+
+    print(f"Rigs {options.first} to {options.first + options.count - 1}\n")
+    print_table("rig | effect taken out | verdict | named at 0.5 | first stage | its stage", rows())
+    for text, hits in (
+        ("Another effect is named at 0.5 or more", [bool(one["named"]) for one in outcomes]),
+        (
+            "Another effect is named at 0.9 or more",
+            [max(one["named"].values(), default=0.0) >= 0.9 for one in outcomes],
+        ),
+        ("The stage of the effect comes first", [one["is_located"] for one in outcomes]),
+    ):
+        low, high = wilson(sum(hits), len(hits))
+        print(f"{text}: {sum(hits)} of {len(hits)} ({100 * low:.0f} to {100 * high:.0f} %).\n")
+
+
+def score_withheld(seed: int) -> dict[str, Any]:
+    """Return what a diagnosis says of a rig whose effect is not in its list."""
+    sealed = draw_case(seed, f"rig-{seed}", "usual")
+    hidden = sealed.causes[0].effect
+    listed = {name: effect for name, effect in EFFECTS.items() if name != hidden}
+    diagnosis = diagnose(as_case(sealed, sealed.plans), model=TwinModel(listed))
+    named = {c.effect: c.probability for c in diagnosis.causes if c.probability >= 0.5}
+    stage = diagnosis.locations[0].stage if diagnosis.locations else ""
+    is_located = stage == EFFECTS[hidden].stage
+    return {"hidden": hidden, "verdict": diagnosis.verdict, "named": named, "stage": stage, "is_located": is_located}
+
+
 # The withheld check.
 
 CASES = 4
@@ -449,6 +494,10 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60, help="how many mechanisms")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="results are kept here; a run cut off goes on")
     parser.add_argument("--withheld", action="store_true", help="leave the only law at work out of the list")
+    parser = every.add(withheld)
+    parser.add_argument("--first", type=int, default=5000, help="first rig drawn")
+    parser.add_argument("--count", type=int, default=25, help="how many rigs")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="results are kept here; a run cut off goes on")
     parser = every.add(blind)
     parser.add_argument("--seed", type=int, help="repeat a draw (default: a fresh seed of 128 bits)")
     every.run()

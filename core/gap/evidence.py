@@ -195,8 +195,9 @@ class Consistency:
         cancelled = np.log1p(-min(self.cancelled, 1.0 - 1e-9))
         carries = config.of_share * (odds - config.share_odds) - config.of_disagreement * apart
         # Beside what a cause takes stands what it leaves: where that has its own shape, its law is another one.
-        bent = self.bent if self.kin < config.tried else 0.0
-        fits = config.bent_odds - config.of_bent * bent - config.of_bound * self.is_on_bound
+        # A law that stays beside a cause and cancels it has not lost.
+        has_lost = self.kin >= config.tried > self.cancelled
+        fits = config.bent_odds - config.of_bent * self.bent * (not has_lost) - config.of_bound * self.is_on_bound
         return float(expit(carries + config.of_cancelled * cancelled) * expit(fits))
 
 

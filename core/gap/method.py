@@ -409,14 +409,13 @@ class GapMethod(NumberedMethod):
     # on linear least squares over drawn mechanisms, 20200-20400 and, withheld, 21000-21083, and on the measured axis.
     simulator_presence: PresenceConfig = field(
         default_factory=lambda: PresenceConfig(
-            share_odds=0.14,
-            of_share=1.1,
-            disagreement=1.0,
-            of_disagreement=0.5,
-            of_cancelled=0.6,
-            bent_odds=3.5,
-            of_bent=3.7,
-            of_bound=5.0,
+            of_share=0.8,
+            disagreement=0.34,
+            of_disagreement=1.8,
+            of_cancelled=2.0,
+            bent_odds=4.5,
+            of_bent=5.0,
+            of_bound=6.0,
             open_law=0.0,
             hides=0.015,
         )
