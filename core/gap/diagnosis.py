@@ -411,13 +411,13 @@ def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: It
     for ids, weight in weights_of(logs).items():
         if weight > config.negligible:
             rest += weight * (1.0 - _completeness(search, search.fits[ids]))
-            for i, chance in _genuine_probabilities(search, ids, memo).items():
+            for i, chance in genuine_probabilities(search, ids, memo).items():
                 chances[i] += weight * chance
     # What no hypothesis has may hide beside a rest.
     return {i: p + (1.0 - p) * config.hides * rest for i, p in chances.items()}
 
 
-def _genuine_probabilities(
+def genuine_probabilities(
     search: Search, ids: tuple[str, ...], memo: dict[tuple[str, ...], dict[str, float]]
 ) -> dict[str, float]:
     """Return how likely each cause of a hypothesis is there and imitates nothing; `memo` by hypothesis."""
@@ -433,13 +433,15 @@ def _genuine_probabilities(
             complete = 0.0
         genuine = {i: complete + (1.0 - complete) * one.genuine_chance(config) for i, one in each.items()}
         memo[ids] = dict(genuine)
-        # Beside one that imitates, the others stand as they do without it, so far as the two cancel.
-        for j, smaller in one_less(search.fits, result).items():
-            without, imitates = _genuine_probabilities(search, smaller.ids, memo), 1.0 - genuine[j]
-            for i in smaller.ids:
-                with_it = memo[ids][i]
-                lost = imitates * each[i].cancelled * max(with_it - without[i], 0.0)
-                memo[ids][i] = max(with_it - lost, imitates * without[i])
+        # Beside one that imitates, the others stand as they do without it, so far as the two cancel. A smaller set that
+        # was not worth a fit says nothing for them.
+        for j in ids:
+            smaller, imitates = tuple(i for i in ids if i != j), 1.0 - genuine[j]
+            without = genuine_probabilities(search, smaller, memo) if smaller in search.fits else {}
+            for i in smaller:
+                with_it, alone = memo[ids][i], without.get(i, 0.0)
+                lost = imitates * each[i].cancelled * max(with_it - alone, 0.0)
+                memo[ids][i] = max(with_it - lost, imitates * alone)
     return memo[ids]
 
 

@@ -6,10 +6,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from softcal.core.gap.diagnosis import closest_set
+from softcal.core.gap.diagnosis import closest_set, genuine_probabilities
 from softcal.core.gap.evidence import Consistency, bounds_reached, consistency_of, list_completeness, rest_energy
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.residual import ExplainedFraction
+from softcal.core.gap.residual import ExplainedFraction, noise_chance
 from softcal.core.gap.search import Search
 from softcal.core.gap.simulator import Experiment, Simulator, candidate, recorded
 from softcal.core.gap.simulator_model import diagnose_simulator
@@ -17,6 +17,7 @@ from softcal.core.twin.effects import Parameter
 from tests.core.linear_mechanism import (
     BEND,
     CAUSES,
+    KINK,
     LINE,
     RIPPLE,
     SIGMA,
@@ -152,6 +153,27 @@ def test_a_rest_of_its_own_shape_speaks_against_a_law_unless_its_kin_was_tried()
     assert Consistency(1.0, 0.001).genuine_chance(FOREIGN) > 0.95
     # The catalogue fits other forms of its laws.
     assert Consistency(1.0, 0.001, is_on_bound=True, bent=1.0).genuine_chance(METHOD.presence) == 1.0
+
+
+@pytest.mark.parametrize("is_fitted_alone", [True, False])
+def test_beside_a_law_on_its_bound_a_cause_counts_as_it_does_without_it(is_fitted_alone):
+    """So far as the two cancel; a smaller set without a fit says nothing for it."""
+    short = candidate("bend", "shape", Parameter("size", "", -50.0, 0.3, 0.2, neutral=0.0))
+    fits = fits_of(problem_of(with_rest(0.0)), (short, KINK), (KINK,))
+    search, both = Search(fits[()], CAUSES), fits["bend", "kink"]
+    search.fits = {ids: fit for ids, fit in fits.items() if is_fitted_alone or ids != ("kink",)}
+
+    def chance(fit, cause):
+        others = [row for name, rows in search.laws.items() if name != cause for row in rows]
+        how = consistency_of(fit, cause, rest_energy(fit, noise_chance(fit)), others)
+        return how.genuine_chance(FOREIGN), how.cancelled
+
+    (bend, _), (kink, cancelled), (alone, _) = chance(both, "bend"), chance(both, "kink"), chance(fits["kink",], "kink")
+    alone *= is_fitted_alone
+    expected = max(kink - (1.0 - bend) * cancelled * max(kink - alone, 0.0), (1.0 - bend) * alone)
+    found = genuine_probabilities(search, ("bend", "kink"), {(): {}})
+    assert bounds_reached(both) and bend < 0.2
+    assert found["kink"] == pytest.approx(expected, rel=1e-9) and found["kink"] < kink or alone > kink
 
 
 def rubbing(inputs, p):
