@@ -317,9 +317,9 @@ def presence(options: argparse.Namespace) -> None:
 
     A rest of 5 to 40 % of the gap's energy: a law that is not in the list, the law of a cause that changes with the
     place, or a wander. `--withheld`: the only law at work is left out of the list, each in turn, so that every name is
-    wrong. Mechanisms 20200 to 20400 and, withheld, 21000 to 21083 chose the constants; those of 7000 to 7039 were
-    looked at for what counts; 1 to 210 and, withheld, 1001 to 1156 chose earlier ones. Others from 7200 on, and from
-    8200 on, chose nothing.
+    wrong. Mechanisms 20200 to 20300 and, withheld, 21000 to 21083 chose the constants, by linear least squares over all
+    sets in place of a search; those of 7000 to 7039 and 7200 to 7299 were looked at for what counts. Others from 7300
+    on, and from 8200 on, chose nothing.
     """
     probabilities, present, inside, false_names, verdicts = [], [], [], 0, Counter[str]()
     cache = ResultCache(options.kept)

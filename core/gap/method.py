@@ -406,7 +406,7 @@ class GapMethod(NumberedMethod):
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
     presence: PresenceConfig = field(default_factory=PresenceConfig)
     # A foreign list is short: a small rest is another law far more often than in the catalogue. Its numbers were chosen
-    # on linear least squares over drawn mechanisms, 20200-20400 and, withheld, 21000-21083, and on the measured axis.
+    # by linear least squares over drawn mechanisms, 20200-20300 and, withheld, 21000-21083, and by the measured axis.
     simulator_presence: PresenceConfig = field(
         default_factory=lambda: PresenceConfig(
             of_share=0.8,
