@@ -101,7 +101,7 @@ class AuditReader:
         measured = {
             serial: entry
             for serial, entry in same_method.items()
-            if entry[2].decision.measured is not None and entry[2].limit.stated_rmse == limit.stated_rmse
+            if entry[2].untrimmed.decision.measured is not None and entry[2].limit.stated_rmse == limit.stated_rmse
         }
         lot_audits = [audit for serial, (audit, _, _) in measured.items() if serial in random_serials]
         past: list[PastAudit] = []
@@ -118,7 +118,7 @@ class AuditReader:
                 for other in registry.lots.all()
                 if other.id != lot.id and other.sensor_model == lot.sensor_model
                 for audit, at, state in self._audited(other).values()
-                if state.decision.is_audited and audit.serial in find_random_audits(registry, other.id)
+                if state.untrimmed.decision.is_audited and audit.serial in find_random_audits(registry, other.id)
             ]
         # Audits of this lot under another method say as much as those of another lot: nothing.
         past += [

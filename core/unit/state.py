@@ -56,6 +56,11 @@ class UnitState:
         return None if self.trim is None or self.trim.left_out is not None else self.trim
 
     @property
+    def untrimmed(self) -> "UnitState":
+        """As fit and correction read it: what its audit says of other units does not end with a trim of its own."""
+        return replace(self, trim=None)
+
+    @property
     def line_behind(self) -> Trim | Correction | None:
         """The straight line behind the fitted map: known loads outrank what the lot's audits say."""
         return self.trim_in_force or self.correction

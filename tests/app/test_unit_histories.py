@@ -21,8 +21,10 @@ from tests.unit_histories import (
     START,
     bring_audit,
     calibrated,
+    check_surfaces,
     make_registries,
     run_histories,
+    trim_unit,
 )
 
 
@@ -71,6 +73,21 @@ def test_a_statement_made_again_counts_the_units_that_it_releases(registry):
     assert [unit.serial for unit in status.on(Disposition.SAMPLED)] == [firm] == list(in_force.released)
     values = in_force.statement.values["first"].values
     assert (values["released"], values["open"]) == (1, 2)
+
+
+def test_what_an_audit_says_of_other_units_does_not_end_with_a_trim_of_its_own(registry):
+    status = read_lot_status(registry, LOT.id)
+    measured, sampled = (
+        {unit.serial for unit in status.on(way)} for way in (Disposition.MEASURED, Disposition.SAMPLED)
+    )
+    for serial in sorted(measured)[:3]:
+        trim_unit(registry, serial, 0.9)
+    check_surfaces(registry)
+    after = read_lot_status(registry, LOT.id)
+    assert {unit.serial for unit in after.on(Disposition.SAMPLED)} == sampled == set(after.decided.released)
+    assert after.decided.qualification.lot_audits == status.decided.qualification.lot_audits
+    decide_lot(registry, LOT.id)
+    assert {unit.serial for unit in read_lot_status(registry, LOT.id).on(Disposition.SAMPLED)} == sampled
 
 
 def test_a_few_histories_hold_what_they_promise(two_registries):
