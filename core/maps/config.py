@@ -23,6 +23,11 @@ DWELL_CHOSEN = (
 )
 """Origin of the prior of a dwell in `SharedLoad`."""
 
+PACE_CHOSEN = (
+    "insole, every third taxel behind taxel_013, 025, 048, 066, 136 and 219, both ways; eGaIn pair, skin; tested "
+    "behind others by maps_insole.py, and on simulated lots"
+)
+"""Origin of the bands in which a dwell shows."""
 
 GROWTH_CHOSEN = (
     "drawn lots 0-3, simulated lots 100-101: up to 0.0114 without a spread, from 0.021 on with 5 % from press to press"
@@ -80,14 +85,16 @@ class CurveConfig:
         gain_prior: units of one kind differ in gain by about this much (standard deviation of its logarithm).
             The slope of a curve changes as freely over a range that was not seen.
         knots: of a curve between two distributions.
+        bands: equal parts of the output's range over which the pace of a passage is taken (`dwell.py`).
         shares: quantiles between which two outputs, their uses, or a source and a straight line are compared.
-        match_error: standard uncertainty of a curve of equal quantiles, whose time may be spent otherwise, and of a
+        match_error: standard uncertainty of curves of equal quantiles, whose time may be spent otherwise, and of a
             line through rest and peak, whose unit may be bent otherwise: as a share of the source's range.
         match_correlation: of both errors. They share the recordings.
     """
 
     gain_prior: float = setting(0.5)
     knots: int = setting(33)
+    bands: int = setting(8, PACE_CHOSEN)
     shares: tuple[float, float] = setting((0.02, 0.98))
     match_error: float = setting(0.04, MATCH_CHOSEN)
     match_correlation: float = setting(0.5, MATCH_CHOSEN)

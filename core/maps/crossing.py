@@ -134,6 +134,18 @@ def robust_range(values: Array, config: CrossingConfig) -> float:
     return float(high - low)
 
 
+@lru_cache(maxsize=CACHED)
+def smoothed(recording: OutputRecording, average: int) -> Array:
+    """Return the output averaged over neighbours inside each segment, one value per sample."""
+    parts = []
+    for part in recording.segments:
+        # Never across a gap: what lies on its two sides was not recorded together.
+        mean = moving_mean(recording.output[part], average)
+        before = (part.stop - part.start - len(mean)) // 2
+        parts.append(np.pad(mean, (before, part.stop - part.start - len(mean) - before), mode="edge"))
+    return np.concatenate(parts)
+
+
 def moving_mean(signal: Array, length: int) -> Array:
     """Return the mean of every `length` neighbouring samples: (n - length + 1,); short signals as one mean."""
     length = min(length, len(signal))

@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
-from softcal.core.maps.crossing import CACHED, LevelPath, averaging_length, level_path, moving_mean
+from softcal.core.maps.crossing import CACHED, LevelPath, averaging_length, level_path, smoothed
 from softcal.core.messages.reason import reason
 from softcal.core.metrics import quantile
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -61,7 +61,7 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
     is_patchy = len(lengths) > 1 and float(np.median(lengths)) < 10 * TAPS
     if is_patchy:
         average = TAPS // 3
-        unit_ends = _patch_ends([sign * _smoothed(target, average)], config)
+        unit_ends = _patch_ends([sign * smoothed(target, average)], config)
     else:
         # The same average on both: it lowers peaks, and must lower them alike.
         average = max(averaging_length(recording, config.crossing) for recording in (bridged, target))
@@ -105,18 +105,6 @@ def _matched(
 
 
 @lru_cache(maxsize=CACHED)
-def _smoothed(recording: OutputRecording, average: int) -> Array:
-    """Output averaged over neighbours inside each segment, one value per sample."""
-    parts = []
-    for part in recording.segments:
-        # Never across a gap: what lies on its two sides was not recorded together.
-        mean = moving_mean(recording.output[part], average)
-        before = (part.stop - part.start - len(mean)) // 2
-        parts.append(np.pad(mean, (before, part.stop - part.start - len(mean) - before), mode="edge"))
-    return np.concatenate(parts)
-
-
-@lru_cache(maxsize=CACHED)
 def output_noise(recording: OutputRecording) -> float:
     """Return the standard deviation of the noise from second differences, at least that of the readout's steps."""
     second_differences = np.concatenate([np.diff(recording.output[part], 2) for part in recording.segments])
@@ -146,7 +134,7 @@ def _shifted_ends(source: OutputRecording, length: int, average: int, sign: floa
 def _stretch_ends(
     recording: OutputRecording, average: int, sign: float, stretches: list[tuple[int, int]], config: MapConfig
 ) -> Ends:
-    level, path = sign * _smoothed(recording, average), level_path(recording, average, config.crossing)
+    level, path = sign * smoothed(recording, average), level_path(recording, average, config.crossing)
     rest = [float(quantile(level[start:stop], config.ends.rest_share)) for start, stop in stretches]
     peak = [_peak(path, level[start:stop], sign, (start, stop), config) for start, stop in stretches]
     return Ends(np.array(rest), np.array(peak))
@@ -165,7 +153,7 @@ def _peak(path: LevelPath | None, level: Array, sign: float, rows: tuple[int, in
 def _patches(source: OutputRecording, target: OutputRecording, average: int, sign: float, config: MapConfig) -> Ends:
     """Return the ends of as many and as long pieces of the source as the unit's recording consists of, drawn anew."""
     # A fixed seed: the same recordings must always give the same map.
-    level, rng = sign * _smoothed(source, average), np.random.default_rng(0)
+    level, rng = sign * smoothed(source, average), np.random.default_rng(0)
     pieces, length = len(target.segments), max(1, len(target) // len(target.segments))
     starts = rng.integers(0, max(1, len(source) - length), (config.ends.stretches, pieces))
     return _patch_ends([level[(row[:, None] + np.arange(length)).ravel()] for row in starts], config)

@@ -13,6 +13,7 @@ from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.catalogue import map_from_arrays
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import MapConfig
+from softcal.core.maps.dwell import paced_time
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.maps.monotone import fit_averaged, fit_monotone, weigh_line
 from softcal.core.maps.synchrony import find_synchrony
@@ -148,10 +149,51 @@ def test_a_bent_unit_is_read_better_by_the_mean_than_by_rest_and_peak(source, tr
 @pytest.mark.parametrize(("gain_error", "share"), [(0.0, 0.5), (0.5, 0.0)])
 def test_a_line_counts_by_how_well_its_gain_is_known(make, gain_error, share):
     problem = make(presses(4, 5000, dwell=80.0))
-    curve = fit_monotone(problem)
-    problem.__dict__["ends"] = match = replace(problem.ends, gain_error=gain_error)
-    line = match.offset + match.gain * curve.knots
-    assert fit_averaged(problem).values == pytest.approx((1 - share) * curve.values + share * line)
+    knots = fit_monotone(problem).knots
+    problem.__dict__["ends"] = match = replace(problem.ends, gain_error=1e9)
+    curves = fit_averaged(problem).values
+    problem.__dict__["ends"] = match = replace(match, gain_error=gain_error)
+    line = match.offset + match.gain * knots
+    assert fit_averaged(problem).values == pytest.approx((1 - share) * curves + share * line)
+
+
+def slow_rise_and_fall(wait: int) -> np.ndarray:
+    """A load that rises and falls once, and waits at a third of its range on the way up."""
+    return np.concatenate(
+        [np.linspace(0, 1, 700), np.full(wait, 1.0), np.linspace(1, 3, 1400), np.linspace(3, 0, 2100)]
+    )
+
+
+@pytest.mark.parametrize(("gain", "curvature"), [(1.3, 0.02), (1.0, 0.005)])
+def test_where_a_programme_waits_is_not_taken_for_a_curvature(trained, gain, curvature):
+    load_N = slow_rise_and_fall(0)
+    source = LabelledRecording(recording("S", load_N), load_N)
+    maps = {}
+    for wait in (0, 2100):
+        load_N = slow_rise_and_fall(wait)
+        output_V = (0.5 + 0.1 * load_N + curvature * load_N**2) / gain
+        target = OutputRecording("T", np.arange(len(load_N)) / 50.0, output_V, 50.0)
+        problem = FitProblem(source, trained.network, target)
+        shown = slow_rise_and_fall(0)
+        shown_V = (0.5 + 0.1 * shown + curvature * shown**2) / gain
+        maps[wait] = [fit(problem)(shown_V) for fit in (fit_monotone, fit_averaged)]
+    (all_time, averaged), (all_time_waited, averaged_waited) = maps[0], maps[2100]
+    # A third of the mean goes by all time, and half of it by the line.
+    assert rmse(averaged_waited, averaged) < 0.35 * rmse(all_time_waited, all_time)
+
+
+def test_time_beyond_the_usual_pace_of_a_passage_counts_as_none():
+    weights, plain = (paced_time(recording("T", slow_rise_and_fall(wait)), MapConfig()) for wait in (2100, 0))
+    assert weights.sum() == pytest.approx(plain.sum(), rel=0.02)
+    assert weights[900:2600].mean() < 0.2 and weights[-2100:].mean() > 0.8
+
+
+def test_a_unit_that_is_bent_keeps_its_paces():
+    load_N = slow_rise_and_fall(0)
+    output_V = 0.5 + 0.1 * load_N**2
+    weights = paced_time(OutputRecording("T", np.arange(len(load_N)) / 50.0, output_V, 50.0), MapConfig())
+    shares = [weights[(output_V >= low) & (output_V < low + 0.1)].sum() for low in (0.7, 0.9, 1.1, 1.2)]
+    assert shares == sorted(shares, reverse=True) and shares[0] > 1.3 * shares[-1]
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5])

@@ -18,7 +18,8 @@ METHODS: Mapping[str, tuple[str, str]] = {
     ),
     "averaged": (
         "mean of rest and peak, and of equal quantiles",
-        "The line through rest and peak of both outputs was averaged with the curve through their equal quantiles",
+        "The line through rest and peak of both outputs was averaged with two curves through their equal quantiles: of "
+        "all time, and of time without dwell",
     ),
     "synchronous": (
         "pairs at equal time",
