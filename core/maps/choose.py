@@ -160,7 +160,8 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     # Both gain and rest must be within two standard errors: a map that is not needed only adds its own error.
     is_same_gain = abs(np.log(match.gain)) < 2 * match.gain_error
     is_same_rest = abs(match.rest_shift) < 2 * match.rest_error
-    if match.gain_error < config.sharp and is_same_gain and is_same_rest:
+    # And the gain better known than a map errs, or a difference hides in its uncertainty.
+    if match.gain_error < problem.config.curve.match_error and is_same_gain and is_same_rest:
         return IDENTITY, numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < config.same_programme:
         return MONOTONE, numbers | {"decision": "time is spent as in the source: sample quantiles matched"}

@@ -261,12 +261,10 @@ class ChoiceConfig:
             can be matched. Random presses drawn from one distribution differ by 0.05 to 0.1 over a minute; matching
             their samples would copy that.
         unlike_rate: a unit that swings this many times more often than the source shows noise or another use.
-        sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
     """
 
     same_programme: float = setting(0.03)
     unlike_rate: float = setting(6.0)
-    sharp: float = setting(0.06)
 
 
 @dataclass(frozen=True)

@@ -211,6 +211,12 @@ def test_unit_like_the_source_is_left_alone(make):
     assert choose_map(problem).family == "identity"
 
 
+def test_a_gain_that_is_known_no_better_than_a_map_errs_shows_no_likeness(make):
+    problem = make(presses(4, 3000), gain=1.0, offset=0.0)
+    problem.__dict__["ends"] = replace(problem.ends, gain=1.1, gain_error=0.055)
+    assert choose_map(problem).family == "averaged"
+
+
 def test_noise_instead_of_presses_is_refused(make):
     hiss = np.random.default_rng(2).uniform(0, 3, 2000)
     with pytest.raises(UnitRefused):
