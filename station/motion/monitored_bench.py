@@ -16,6 +16,7 @@ from softcal.station.motion.contact import unloaded
 from softcal.station.motion.interlock import AllowedMotion, StageMonitor, State
 from softcal.station.motion.monitors import (
     FROZEN,
+    LAGS_S,
     STUCK_MM,
     STUCK_OUTPUT_MM,
     SUDDEN_N,
@@ -173,13 +174,14 @@ class MonitoredBench:
     def expect_contact(self, contact_mm: float) -> None:
         """Set the position of the unit's surface: beyond it every channel must follow the stage."""
         self.estimates.contact_mm = contact_mm
-        for monitor, reader, samples, stuck_mm in (
-            (StageMonitor.STUCK_OUTPUT, self.bench.readout, self.readings.output, STUCK_OUTPUT_MM),
-            (StageMonitor.STUCK_CELL, self.bench.force, self.readings.force, STUCK_MM),
+        for monitor, reader, samples, stuck_mm, lags_s in (
+            (StageMonitor.STUCK_OUTPUT, self.bench.readout, self.readings.output, STUCK_OUTPUT_MM, LAGS_S),
+            (StageMonitor.STUCK_CELL, self.bench.force, self.readings.force, STUCK_MM, ()),
         ):
             if reader is not None:
-                noisy = StuckMonitor(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
-                self._stuck[monitor] = noisy, StuckMonitor(reader.name, 0.0, reader.rate_Hz, FROZEN * stuck_mm)
+                noisy = StuckMonitor(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm, lags_s)
+                frozen = StuckMonitor(reader.name, 0.0, reader.rate_Hz, FROZEN * stuck_mm, lags_s)
+                self._stuck[monitor] = noisy, frozen
         self.enter(State.PROBING)
 
     def learn_latency(self, late_s: float) -> None:

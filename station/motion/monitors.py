@@ -6,6 +6,7 @@ that rises while the stage homes.
 
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,6 +29,10 @@ STUCK_MM, STUCK_OUTPUT_MM, FROZEN, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1
 """The mean over so long must change by this many times its noise while the stage moves so far on the unit (a load cell,
 a sensor's output); over this share of the way it must change at all. A slow channel has few samples in a fast press:
 from fewer than these nothing is said."""
+
+LAGS_S = (0.1, 0.3)
+"""An output may lag (an RC filter, a slow sensor): where the stage turns it stands still for a moment. A stage that
+lags as much must have moved by the share FROZEN of the way, too."""
 
 SLOPE_SAMPLES = 4
 RATE_SAMPLES, MISSED_SAMPLES = 50, 4
@@ -110,37 +115,43 @@ class StuckMonitor:
     Args:
         noise: standard deviation of the channel while nothing is pressed; 0 where any change will do.
         stuck_mm: how far the stage may move on the unit before the channel must follow.
+        lags_s: time constants with which the channel may follow.
     """
 
-    def __init__(self, name: str, noise: float, rate_Hz: float, stuck_mm: float = STUCK_MM) -> None:
+    def __init__(
+        self, name: str, noise: float, rate_Hz: float, stuck_mm: float = STUCK_MM, lags_s: Sequence[float] = ()
+    ) -> None:
         self._stuck_mm = stuck_mm
+        self._gains = np.array([1.0, *(-math.expm1(-1.0 / (rate_Hz * lag_s)) for lag_s in lags_s)])
+        self._lagging_mm = np.zeros(len(self._gains))
+        self._min_ways_mm = stuck_mm * np.array([1.0] + [FROZEN] * len(lags_s))
         averaged = max(1, round(STUCK_MEAN_S * rate_Hz)) if noise else 1
         self._name, self._min_change = name, STUCK_NOISES * noise / np.sqrt(averaged)
         self._recent: deque[float] = deque(maxlen=averaged)
-        self._count, self._low, self._high = 0, float("inf"), float("-inf")
-        self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
+        self._restart()
+
+    def _restart(self) -> None:
+        self._count, self._low, self._high = 0, math.inf, -math.inf
+        self._shallow_mm, self._deep_mm = np.full((2, len(self._gains)), [[math.inf], [-math.inf]])
 
     def check(self, value: float, pressed_mm: float) -> None:
         """Raise `BadReply` when the stage moved far on the unit and the channel has not followed."""
         self._recent.append(value)
+        self._lagging_mm += self._gains * (pressed_mm - self._lagging_mm)
         if pressed_mm <= 0.0:
-            self._forget()
+            self._restart()
             return
         if len(self._recent) < (self._recent.maxlen or 1):
             return
         self._count += 1
         mean = math.fsum(self._recent) / len(self._recent)
         self._low, self._high = min(self._low, mean), max(self._high, mean)
-        self._shallow_mm, self._deep_mm = min(self._shallow_mm, pressed_mm), max(self._deep_mm, pressed_mm)
+        self._shallow_mm = np.minimum(self._shallow_mm, self._lagging_mm)
+        self._deep_mm = np.maximum(self._deep_mm, self._lagging_mm)
         if self._high - self._low > self._min_change:
-            self._forget()
-        elif self._deep_mm - self._shallow_mm > self._stuck_mm and self._count >= STUCK_SAMPLES:
+            self._restart()
+        elif np.all(self._deep_mm - self._shallow_mm > self._min_ways_mm) and self._count >= STUCK_SAMPLES:
             raise BadReply(reason("rig.stuck", device=device_label(self._name), level=mean, stuck_mm=self._stuck_mm))
-
-    def _forget(self) -> None:
-        self._count = 0
-        self._low = self._shallow_mm = float("inf")
-        self._high = self._deep_mm = float("-inf")
 
 
 class StreamMonitor:

@@ -12,6 +12,8 @@ CHANGED_RIGS = "good rigs of benchmarks/station_proof.py, seeds 0 to 59, and the
 
 LOST_STEP_RIGS = "good rigs of benchmarks/station_faults.py, seeds 3000 to 3499, and lost steps on seeds 4000 to 4049"
 
+LAGGING_RIGS = "good rigs of benchmarks/station_faults.py with a readout that lags, seeds 5000 to 5051"
+
 FILTERED_RIGS = "good rigs of benchmarks/station_proof.py, seeds 8 to 39, as they are and behind a low pass of 0.1 s"
 
 
@@ -151,6 +153,23 @@ class OutputConfig:
 
 
 @dataclass(frozen=True)
+class StrokeConfig:
+    """Thresholds for a channel that stays at its level.
+
+    Args:
+        way: a stroke of the stage goes over this share of the largest depth.
+        lag_s: so long after it the channel may still follow.
+        mean_s: its mean over so long is looked at.
+        share: it changes in every stroke by this share of its largest change. Good rigs show 0.32 and more.
+    """
+
+    way: float = setting(0.6, LAGGING_RIGS)
+    lag_s: float = setting(0.3, LAGGING_RIGS)
+    mean_s: float = setting(0.1, LAGGING_RIGS)
+    share: float = setting(0.15, LAGGING_RIGS)
+
+
+@dataclass(frozen=True)
 class SlipConfig:
     """A stage that lost steps once in a run.
 
@@ -211,6 +230,7 @@ class ProofMethod(NumberedMethod):
     hang: HangConfig = field(default_factory=HangConfig)
     press: PressConfig = field(default_factory=PressConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
+    stroke: StrokeConfig = field(default_factory=StrokeConfig)
     response: ResponseConfig = field(default_factory=ResponseConfig)
     slip: SlipConfig = field(default_factory=SlipConfig)
     dropout: DropoutConfig = field(default_factory=DropoutConfig)

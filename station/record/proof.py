@@ -3,18 +3,20 @@
 No I/O here. A single sample of a smooth channel shows no fault; a comparison with the other channels does.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.signal import lfilter
+from scipy.signal import find_peaks, lfilter
 
 from softcal.core.errors import BadReply
 from softcal.core.inspection.dropouts import find_dropouts
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
-from softcal.station.record.method import OutputConfig, PressConfig, ProofMethod
+from softcal.station.device_names import device_label
+from softcal.station.record.method import OutputConfig, PressConfig, ProofMethod, StrokeConfig
 
 
 class PressLaw:
@@ -256,6 +258,25 @@ def check_follows(
         followed = 1.0 - _misfit(basis, values) / spread if spread else 0.0
         if followed < method.output.follows:
             raise BadReply(reason("rig.follows", percent=100 * followed))
+
+
+def check_strokes(t_s: Array, values: Array, depth_mm: Array, device: str, config: StrokeConfig) -> None:
+    """Raise `BadReply` if a channel, (n, channels), stays at its level in a stroke of the stage on the unit.
+
+    A stroke goes from one turn of the depth, (n,), to the next; a channel that lags follows a little later.
+    """
+    period_s, way_mm = float(np.median(np.diff(t_s))), config.way * float(np.max(depth_mm, initial=0.0))
+    length, late = max(1, round(config.mean_s / period_s)), round(config.lag_s / period_s)
+    turns = np.concatenate([find_peaks(sign * depth_mm, prominence=way_mm)[0] for sign in (1.0, -1.0)])
+    ends = np.unique([0, *turns, len(t_s) - 1])
+    strokes = [(a, b) for a, b in itertools.pairwise(ends) if abs(depth_mm[b] - depth_mm[a]) >= way_mm > 0.0]
+    for column in values.T:
+        means = np.convolve(column, np.full(length, 1.0 / length), "valid")
+        spans = [float(np.ptp(means[a : max(a + 1, b + late - length)])) for a, b in strokes]
+        if spans and min(spans) < config.share * max(spans):
+            a, b = strokes[int(np.argmin(spans))]
+            about = {"level": float(np.mean(column[a:b])), "stuck_mm": abs(float(depth_mm[b] - depth_mm[a]))}
+            raise BadReply(reason("rig.stuck", device=device_label(device), **about))
 
 
 def check_converter(t_s: Array, output: Array, stage_mm: Array, unit: str, method: ProofMethod) -> None:

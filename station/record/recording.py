@@ -12,7 +12,14 @@ from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_off
 from softcal.station.device_names import CELL, device_label
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.method import METHOD, ProofMethod
-from softcal.station.record.proof import PressLaw, check_converter, check_follows, check_gain, check_output_gain
+from softcal.station.record.proof import (
+    PressLaw,
+    check_converter,
+    check_follows,
+    check_gain,
+    check_output_gain,
+    check_strokes,
+)
 from softcal.station.record.response import (
     CellResponse,
     check_explained,
@@ -162,6 +169,8 @@ def assemble(raw: Raw, metadata: RunMetadata, method: ProofMethod = METHOD) -> S
     track = track_of(raw, metadata)
     stage_mm = track.at(host_s) - metadata.zero_mm
     check_converter(sensor_s - sensor_s[0], output, stage_mm, metadata.output_unit, method)
+    depth_mm = np.maximum(0.0, track.at(host_s) - metadata.contact_mm)
+    check_strokes(sensor_s, output, depth_mm, metadata.sensor, method.stroke)
     follows: BadReply | None = None
     try:
         check_follows(host_s, output, track.at, metadata.contact_mm, method)
@@ -190,6 +199,7 @@ def assemble(raw: Raw, metadata: RunMetadata, method: ProofMethod = METHOD) -> S
         if metadata.with_reference:
             check_explained(response, method.response)
         force_N = _force_at(host_s, cell, metadata, late_s)
+        check_strokes(sensor_s, force_N[:, None], depth_mm, CELL, method.stroke)
         offset_s = residual_offset_s(force_N, output[:, 0], metadata.sample_rate_Hz)
         cell_drift, cell_late_s = cell.clock.rate - 1, cell.clock.late_s
     stage_offset_s = residual_offset_s(np.maximum(stage_mm, 0.0), output[:, 0], metadata.sample_rate_Hz)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from common.proof_trial import draw_good_rig, open_good_rig, press_good_rig
+from scipy.signal import lfilter
 
 from softcal.core.errors import BadReply
 from softcal.core.profiles import moves, ramps
@@ -18,6 +19,7 @@ from softcal.station.record.proof import (
     check_follows,
     check_gain,
     check_output_gain,
+    check_strokes,
     press_gains,
 )
 from softcal.station.record.recording import Raw, RunMetadata, assemble, restore
@@ -209,6 +211,21 @@ def test_an_output_that_does_not_follow_the_stage_is_refused(rng):
     refused("rig.follows", check_follows, t_s, np.column_stack([good, floats]), stage_mm, 0.0, METHOD)
 
 
+@pytest.mark.parametrize("lag_s", [0.0, 0.3])
+def test_an_output_that_stays_at_its_level_in_one_press_is_refused(lag_s, rng):
+    t_s = np.arange(0.0, 29.0, 0.02)
+    depth_mm = np.maximum(0.0, stage_mm(t_s))
+    output = 1.4 + 0.1 * depth_mm**1.5
+    if lag_s:
+        output = lfilter([-np.expm1(-0.02 / lag_s)], [1.0, -np.exp(-0.02 / lag_s)], output - 1.4) + 1.4
+    output += rng.normal(0, 0.005, len(t_s))
+    check_strokes(t_s, output[:, None], depth_mm, "sensor readout", METHOD.stroke)
+    stuck = np.where(t_s > 14.0, 1.5 + rng.normal(0, 0.01, len(t_s)), output)
+    channels = np.column_stack([output, stuck])
+    values = refused("rig.stuck", check_strokes, t_s, channels, depth_mm, "sensor readout", METHOD.stroke)
+    assert values["level"] == pytest.approx(1.5, abs=0.01) and values["stuck_mm"] > 1.0
+
+
 @pytest.mark.parametrize("bit", [1, 3, 5, 6])
 @pytest.mark.parametrize("is_one", [True, False])
 def test_a_bit_that_hangs_is_found(bit, is_one, rng):
@@ -284,3 +301,7 @@ def test_a_unit_that_relaxes_in_a_slow_press_and_leaves_the_stage_is_no_channel_
     with open_good_rig(rig) as (bench, _):
         slow = replace(bench.config, safety=replace(bench.config.safety, stiffest_N_mm=1000.0))
         assert record(replace(bench, config=slow), "P1", rig.profile, True).lost == 0
+
+
+def test_an_output_that_lags_in_a_fast_profile_is_no_channel_that_is_stuck():
+    assert press_good_rig(replace(draw_good_rig(3425), stage_kind="zaber")).lost == 0

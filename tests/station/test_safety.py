@@ -12,9 +12,11 @@ from softcal.station.devices.config import SafetyConfig
 from softcal.station.interfaces import Sample
 from softcal.station.motion.monitors import (
     FROZEN,
+    LAGS_S,
     MISSING_S,
     PRESSED_MM,
     STUCK_MM,
+    STUCK_OUTPUT_MM,
     FollowMonitor,
     StreamMonitor,
     StuckMonitor,
@@ -63,6 +65,35 @@ def test_one_late_line_is_no_frozen_channel() -> None:
     with pytest.raises(BadReply):
         for _ in range(10):
             monitor.check(1.559, 1.25)
+
+
+def show_fast_presses(lag_s: float, speed_mm_s: float, gain_V_mm2: float, seed: int) -> float | None:
+    """Press 3.2 mm deep to and fro past a watch of an output that lags; return when it raised, if it did."""
+    rng, rate_Hz = np.random.default_rng(seed), 50.0
+    monitor = StuckMonitor("sensor readout", 0.004, rate_Hz, STUCK_OUTPUT_MM, LAGS_S)
+    t_s = np.arange(0.0, 8.0, 1.0 / rate_Hz)
+    stage_mm = np.abs((speed_mm_s * t_s + 3.5) % 7.0 - 3.5) - 0.3
+    level_V = 0.0
+    for at_s, pressed_mm in zip(t_s, np.maximum(0.0, stage_mm), strict=True):
+        level_V += (gain_V_mm2 * pressed_mm**2 - level_V) * -np.expm1(-1.0 / rate_Hz / lag_s)
+        try:
+            monitor.check(level_V + rng.normal(0.0, 0.004), float(pressed_mm))
+        except BadReply:
+            return float(at_s)
+    return None
+
+
+@given(st.floats(0.02, 0.4), st.floats(1.0, 8.0), st.floats(0.015, 0.05), st.integers(0, 2**31))
+def test_an_output_that_lags_is_not_stuck_where_the_stage_turns(
+    lag_s: float, speed_mm_s: float, gain_V_mm2: float, seed: int
+) -> None:
+    assert show_fast_presses(lag_s, speed_mm_s, gain_V_mm2, seed) is None
+
+
+@given(st.floats(1.0, 8.0), st.integers(0, 2**31))
+def test_an_output_that_stays_at_its_level_is_stuck_in_the_first_press(speed_mm_s: float, seed: int) -> None:
+    raised_s = show_fast_presses(0.02, speed_mm_s, 0.0, seed)
+    assert raised_s is not None and raised_s <= 7.0 / speed_mm_s
 
 
 def follow(monitor: FollowMonitor, way: list[tuple[float, float]], began_s: float = 0.0) -> float | None:
