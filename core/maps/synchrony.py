@@ -12,13 +12,16 @@ import scipy
 from numpy.typing import NDArray
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
-from softcal.core.maps.crossing import CACHED, moving_mean, robust_range, turning_points
+from softcal.core.maps.crossing import moving_mean, robust_range, turning_points
 from softcal.core.metrics import quantile
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, Mask, OutputRecording
 from softcal.core.windows import TAPS
 
 LONGEST_LAG_s = 1.0
 """Clocks further apart than this are not looked for."""
+
+STRETCHES = 8
+"""Stretches of a source whose ranks are stored: a comparison looks at three, and units of a line share none."""
 
 
 @dataclass(frozen=True)
@@ -85,16 +88,16 @@ def _compared(
     shared_s = time_s[_covered(source, time_s) & _covered(target, time_s)]
     if len(shared_s) < 2 * min(config.scales):
         return NONE
-    # Every unit of a lot is compared with one source, and mostly at the same instants: what was found is kept.
-    keys = [(each, time_s.tobytes(), shared_s.tobytes()) for each in (source, target)]
-    a, b = (_ranks_at(*key) for key in keys)
+    # Every unit of a lot is compared with one source, and mostly at the same instants: what was found of it is kept.
+    key = (source, time_s.tobytes(), shared_s.tobytes())
+    a, b = _stored_ranks(*key), _ranks_at(target, time_s, shared_s)
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
     # One scale would miss slow loads or drown in noise.
     scales = [scale for scale in config.scales if 2 * config.apart * scale <= len(time_s)]
     looks = []
     for scale in scales:
-        band, other = (_band_of(*key, scale, config.apart) for key in keys)
+        band, other = _stored_band(*key, scale, config.apart), _band_of(b, scale, config.apart)
         looks.append(_detail(band, other, scale, rate_Hz, config))
     detail, sigma, lag = max(looks, key=lambda item: item[1])
     is_significant = detail >= config.min_detail and sigma >= config.min_sigma
@@ -116,21 +119,27 @@ class _Band:
     spread: float
 
 
-@lru_cache(maxsize=CACHED)
-def _ranks_at(recording: OutputRecording, time_s: bytes, shared_s: bytes) -> Array:
-    at, instants_s = np.frombuffer(time_s), np.frombuffer(shared_s)
+def _ranks_at(recording: OutputRecording, at_s: Array, shared_s: Array) -> Array:
     # Linear between samples: two recordings never share their instants exactly.
-    return ranks(np.interp(at, instants_s, np.interp(instants_s, recording.t_s, recording.output)))
+    return ranks(np.interp(at_s, shared_s, np.interp(shared_s, recording.t_s, recording.output)))
 
 
-@lru_cache(maxsize=4 * CACHED)
-def _band_of(recording: OutputRecording, time_s: bytes, shared_s: bytes, scale: int, apart: int) -> _Band:
-    values = _ranks_at(recording, time_s, shared_s)
+def _band_of(values: Array, scale: int, apart: int) -> _Band:
     slower, faster = moving_mean(values, apart * scale), moving_mean(values, scale)
     offset = (len(faster) - len(slower)) // 2
     band = faster[offset : offset + len(slower)] - slower
     band = band - band.mean()
     return _Band(np.fft.rfft(band), len(band), float(np.std(band)))
+
+
+@lru_cache(maxsize=STRETCHES)
+def _stored_ranks(source: OutputRecording, time_s: bytes, shared_s: bytes) -> Array:
+    return _ranks_at(source, np.frombuffer(time_s), np.frombuffer(shared_s))
+
+
+@lru_cache(maxsize=4 * STRETCHES)
+def _stored_band(source: OutputRecording, time_s: bytes, shared_s: bytes, scale: int, apart: int) -> _Band:
+    return _band_of(_stored_ranks(source, time_s, shared_s), scale, apart)
 
 
 def ranks(values: Array) -> Array:

@@ -1,5 +1,7 @@
 """The choice among families: by evidence of the outputs alone, explained, and better with a few known loads."""
 
+import gc
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +101,22 @@ def test_a_long_opening_does_not_make_the_whole_one_load(make, source):
     assert np.corrcoef(*ranks)[0, 1] > 0.95
     synchrony = find_synchrony(source.unlabelled, make(load_N).target, MapConfig())
     assert synchrony.is_synchronous and synchrony.until_s < parts_at / 50.0
+
+
+def test_units_that_were_compared_leave_little_in_memory(source):
+    def compare(seeds):
+        for seed in seeds:
+            find_synchrony(
+                source.unlabelled, recording("T", presses(seed, 900 + seed), GAIN, OFFSET, seed), MapConfig()
+            )
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    before = compare(range(12))
+    each = (compare(range(12, 24)) - before) / 12
+    tracemalloc.stop()
+    assert each < 5_000
 
 
 def test_one_slow_rise_alike_is_no_opening():
