@@ -7,6 +7,7 @@ from pathlib import Path
 
 from softcal.app.bootstrap import data_folder
 from softcal.core.errors import InputError, RegistryError, SoftcalError
+from softcal.core.json_input import parse_json
 from softcal.db.entries import Anchor, Heads
 from softcal.db.registry import Registry
 from softcal.db.repositories import history
@@ -41,7 +42,7 @@ def read_recorded_heads(registry: Registry) -> list[Anchor]:
     anchors = []
     for line in lines:
         try:
-            value = json.loads(line)
+            value = parse_json(line)
             if value["registry"] == registry.origin:
                 anchors.append(Anchor(_heads(value), f"on this computer at {value['at']} ({value['why']})"))
         except (ValueError, TypeError, KeyError):
@@ -59,7 +60,7 @@ def read_anchor(path: Path) -> Anchor:
         if path.read_bytes()[:16] == b"SQLite format 3\0":
             with closing(open_database(f"sqlite:///{path}", create=False)) as database, database.reading():
                 return Anchor(history.heads(database), f"in the backup {path}")
-        return Anchor(_heads(json.loads(path.read_text(encoding="utf-8"))), f"in {path}")
+        return Anchor(_heads(parse_json(path.read_text(encoding="utf-8"))), f"in {path}")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, TypeError, KeyError, RegistryError) as error:

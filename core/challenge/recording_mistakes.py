@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from softcal.core.challenge.rig import PRESS, Measured, Rig
+from softcal.core.json_input import parse_json
 from softcal.core.recording import Array, Rng
 
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
@@ -52,7 +53,7 @@ class Mistake:
 
     @classmethod
     def from_text(cls, text: str) -> "Mistake":
-        record = json.loads(text)
+        record = parse_json(text)
         return cls(**{**record, "runs": tuple(record["runs"])})
 
     def concerns(self, run: int) -> bool:

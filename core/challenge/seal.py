@@ -13,6 +13,7 @@ import msgspec
 
 from softcal.core.challenge.cases import SealedCase, distance_sigma
 from softcal.core.errors import InputError
+from softcal.core.json_input import parse_json
 
 SCHEMA = "softcal.seal/1"
 
@@ -61,7 +62,7 @@ def seal_labels(
 
 def seed_origin(text: str) -> str:
     """Return where the seed of a sealed text came from."""
-    return str(json.loads(text).get("seed_origin"))
+    return str(parse_json(text).get("seed_origin"))
 
 
 def open_seal(text: str, commitment: str) -> list[Label]:
@@ -75,7 +76,10 @@ def open_seal(text: str, commitment: str) -> list[Label]:
             f"the seal is broken: SHA-256 of the sealed file is {Seal(text).commitment}, {commitment} was published; "
             "nothing was scored"
         )
-    sealed = json.loads(text)
-    if sealed.get("schema") != SCHEMA:
-        raise InputError(f"the sealed file has schema {sealed.get('schema')!r}; {SCHEMA!r} was expected")
-    return msgspec.convert(sealed["labels"], list[Label])
+    try:
+        sealed = parse_json(text)
+        if sealed["schema"] != SCHEMA:
+            raise InputError(f"the sealed file has schema {sealed['schema']!r}; {SCHEMA!r} was expected")
+        return msgspec.convert(sealed["labels"], list[Label])
+    except (ValueError, TypeError, KeyError) as error:
+        raise InputError("the sealed file holds no labels; nothing was scored") from error

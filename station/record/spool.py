@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from softcal.core.errors import DeviceError, InputError, reason_of
+from softcal.core.json_input import parse_json
 from softcal.core.messages.reason import Reason, plain, reason
 from softcal.station.interfaces import Sample, StagePosition
 
@@ -136,8 +137,7 @@ def read_spool(path: Path) -> SpooledRun:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:
         raise InputError(reason("file.unreadable", path=str(path), error=reason_of(error))) from error
-    values: list[dict[str, Any]] = []
-    damaged = 0
+    texts, damaged = list[bytes](), 0
     for k, line in enumerate(lines):
         checksum, _, text = line.partition(b" ")
         if not line and k == len(lines) - 1:
@@ -145,8 +145,9 @@ def read_spool(path: Path) -> SpooledRun:
         if checksum != b"%08x" % zlib.crc32(text):
             damaged = len([rest for rest in lines[k:] if rest])
             break
-        values.append(json.loads(text))
+        texts.append(text)
     try:
+        values: list[dict[str, Any]] = [parse_json(text) for text in texts]
         if values[0].get("schema") != SCHEMA:
             raise ValueError("another schema")
         output, force = (

@@ -12,7 +12,7 @@ from softcal.core.challenge.equations import CATALOGUE, OUTSIDE
 from softcal.core.challenge.explained_fraction import BASE, explained_fraction, refit_base
 from softcal.core.challenge.published_equations import PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import Cause
-from softcal.core.challenge.seal import open_seal, seal_labels
+from softcal.core.challenge.seal import Seal, open_seal, seal_labels
 from softcal.core.errors import InputError
 
 
@@ -89,6 +89,9 @@ def test_a_seal_opens_with_its_commitment_only() -> None:
     assert seal_labels(cases, contents, seed=1, nonce="b").commitment != seal.commitment
     with pytest.raises(InputError, match=seal.commitment):
         open_seal(seal.text.replace('"seed":1', '"seed":2'), seal.commitment)
+    for text in ("[" * 100_000, "[]", '{"schema":"no"}', seal.text.replace('"labels":[', '"labels":[7,')):
+        with pytest.raises(InputError):
+            open_seal(text, Seal(text).commitment)
 
 
 def test_the_path_stays_when_a_base_parameter_moves() -> None:

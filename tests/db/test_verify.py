@@ -142,8 +142,9 @@ def test_the_command_remembers_where_the_trail_ended(file_registry, make_factory
     behind(file_registry, "DROP TRIGGER audit_no_delete", "DELETE FROM audit WHERE seq = (SELECT max(seq) FROM audit)")
     for more in ([], ["--against", str(backup)]):
         assert main(["registry", "verify", "--registry", url, *more]) == 4
-    (tmp_path / "nothing.json").write_text("{}")
-    assert main(["registry", "verify", "--registry", url, "--against", str(tmp_path / "nothing.json")]) == 2
+    for content in ("{}", "[" * 100_000):
+        (tmp_path / "nothing.json").write_text(content)
+        assert main(["registry", "verify", "--registry", url, "--against", str(tmp_path / "nothing.json")]) == 2
 
 
 def test_after_a_restore_the_trail_begins_with_it(people, tmp_path):

@@ -1,6 +1,7 @@
 """Samples on disk as they come: a power cut costs the last moment, damage is seen, a full disk stops the run."""
 
 import threading
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -54,9 +55,13 @@ def test_a_flipped_byte_is_seen(tmp_path, rng):
         assert not read_spool(path).is_complete
 
 
-def test_a_file_that_is_no_spool_is_refused(tmp_path):
+DEEP, LONG = b"[" * 100_000 + b"]" * 100_000, b'{"schema":' + b"1" * 5_000 + b"}"
+
+
+@pytest.mark.parametrize("line", [b"t_s,output", *(b"%08x %s" % (zlib.crc32(text), text) for text in (DEEP, LONG))])
+def test_a_file_that_is_no_spool_is_refused(tmp_path, line):
     path = tmp_path / "a.spool"
-    path.write_text("t_s,output\n")
+    path.write_bytes(line + b"\n")
     with pytest.raises(InputError, match="a.spool"):
         read_spool(path)
 
