@@ -24,6 +24,7 @@ from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import echo, print_table, write_json
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import Reason
+from softcal.core.quality.gate import MAX_QUALIFIED
 
 if TYPE_CHECKING:
     from softcal.station.tasks.acquisition import RunProgress
@@ -116,10 +117,18 @@ def _add_qualify(action: Action) -> None:
     add("--depth", type=positive, default=2.0, metavar="MM", help="how deep to press below the contact (default 2)")
     add("--specimen", default="a stiff spring", metavar="TEXT", help="what is pressed, for the page")
     add("--stiffness", type=positive, metavar="N/MM", help="of the spring: then the frame's compliance is told from it")
-    add("--valid-days", type=int, default=90, metavar="N", help="how long a passed qualification holds (default 90)")
+    days = f"1 to {MAX_QUALIFIED.days} days; how long a passed qualification holds (default 90)"
+    add("--valid-days", type=_valid_days, default=90, metavar="N", help=days)
     add("--name", metavar="NAME", help="keep it in the registry for the gate of this station")
     add_station(qualify)
     add_shared(qualify, "registry", "json")
+
+
+def _valid_days(text: str) -> int:
+    days = int(text)
+    if not 1 <= days <= MAX_QUALIFIED.days:
+        raise argparse.ArgumentTypeError(f"{text}: 1 to {MAX_QUALIFIED.days} days were expected")
+    return days
 
 
 def _weight(text: str) -> float:

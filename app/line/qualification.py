@@ -42,8 +42,9 @@ class QualificationPage:
         rows = []
         for figure in self.qualification.figures:
             limit = f"{figure.limit:.3g}" if math.isfinite(figure.limit) else ""
-            word = ("good" if figure.is_good else "NOT GOOD") if limit else "said"
-            rows.append((figure.name, f"{figure.value:.3g}", figure.unit, limit, word))
+            word = ("good" if limit else "said") if figure.is_good else "NOT GOOD"
+            value = f"{figure.value:.3g}" if math.isfinite(figure.value) else "not measured"
+            rows.append((figure.name, value, figure.unit, limit, word))
         return rows
 
     @property

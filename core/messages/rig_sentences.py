@@ -311,6 +311,7 @@ gate.no_qualification: the station was never qualified; qualify it on a stiff sp
 gate.not_qualified: the station did not pass its qualification; mend what its page names, qualify it again
 gate.qualified: passed, valid until {day}
 gate.qualification_ended: the qualification ended on {day}; qualify the station again
+gate.qualified_ahead: a clock that was ahead stamped the qualification (valid until {day}); qualify the station again
 golden.good: golden unit within its limits
 golden.held: quarantined: {serials}
 golden.own_limit: its control limit

@@ -7,6 +7,9 @@ from datetime import date, datetime, timedelta
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.orders import Condition, OrderKind
 
+MAX_QUALIFIED = timedelta(days=366)
+"""A qualification holds no longer: one that seems to was stamped by a clock that was ahead."""
+
 
 @dataclass(frozen=True)
 class CellAtGate:
@@ -191,9 +194,11 @@ def _qualification(status: StationStatus) -> Condition:
         return Condition(name, False, Reason("gate.no_qualification"))
     if not qualification.is_passed:
         return Condition(name, False, Reason("gate.not_qualified"))
-    is_valid = status.now.date() < qualification.due_on
-    code = "gate.qualified" if is_valid else "gate.qualification_ended"
-    return Condition(name, is_valid, reason(code, day=str(qualification.due_on)))
+    day, today = qualification.due_on, status.now.date()
+    if day > today + MAX_QUALIFIED + timedelta(days=1):
+        return Condition(name, False, reason("gate.qualified_ahead", day=str(day)))
+    code = "gate.qualified" if today < day else "gate.qualification_ended"
+    return Condition(name, today < day, reason(code, day=str(day)))
 
 
 def _golden(status: StationStatus) -> Condition:

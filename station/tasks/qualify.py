@@ -46,7 +46,7 @@ class Figure:
     """One figure of a qualification with its limit.
 
     Args:
-        value, limit: in `unit`; a limit of infinity is none.
+        value, limit: in `unit`; NaN if the run does not tell it. A limit of infinity is none, and holds either way.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Figure:
 
     @property
     def is_good(self) -> bool:
-        return math.isfinite(self.value) and self.value <= self.limit
+        return math.isfinite(self.value) and abs(self.value) <= self.limit
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def _figures(
         response = fit_response(host_s, force_N, tip_mm_at, metadata.contact_mm, method)
         lag_s = response.lag_s if response.is_identifiable else 0.0
         presses = _Presses(host_s - lag_s, track.at(host_s - lag_s) - metadata.zero_mm, force_N)
-        backlash_mm = presses.backlash_mm
+        backlash_mm = float(np.nan_to_num(presses.backlash_mm))
     largest_N = presses.largest_N
     declared_s = latency_s if latency_s != UNKNOWN_S else 0.0
     off_s = method.lag.late_s + method.lag.period_share * presses.period_s
@@ -157,8 +157,8 @@ def _figures(
     compliance = 1.0 / slope - (1.0 / stiffness_N_mm if stiffness_N_mm is not None else 0.0)
     output = np.array([sample.values[0] for sample in raw.output if sample.host_s > metadata.span_s[1] - END_S])
     return (
-        Figure("lag of the load cell beyond what is stated", abs(lag_s - declared_s), "s", off_s),
-        Figure("pure delay of the load cell", max(0.0, response.delay_s), "s"),
+        Figure("lag of the load cell beyond what is stated", abs(response.lag_s - declared_s), "s", off_s),
+        Figure("pure delay of the load cell", float(np.maximum(0.0, response.delay_s)), "s"),
         Figure("time constant of the load cell", response.time_constant_s, "s"),
         Figure("bandwidth of the load cell", _bandwidth_Hz(response.time_constant_s, presses.period_s), "Hz"),
         Figure(
@@ -170,7 +170,7 @@ def _figures(
         ),
         Figure(
             "compliance of the frame" if has_stiffness else "compliance of frame and unit, in series",
-            max(0.0, compliance),
+            compliance,
             "mm/N",
             MAX_COMPLIANCE_MM_N if has_stiffness else math.inf,
         ),
@@ -222,7 +222,8 @@ class _Presses:
     @property
     def backlash_mm(self) -> float:
         """Return the backlash in mm: the difference of stage depth between loading and unloading, at equal force."""
-        return max(0.0, float(np.median([press.at_mm(MIDDLE) - press.at_mm(MIDDLE, False) for press in self.slow])))
+        ways_mm = [press.at_mm(MIDDLE) - press.at_mm(MIDDLE, False) for press in self.slow]
+        return float(np.maximum(0.0, np.median(ways_mm)))
 
 
 class _Press:

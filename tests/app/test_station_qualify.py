@@ -3,6 +3,8 @@
 import json
 from datetime import UTC, date, datetime, timedelta
 
+import pytest
+
 from softcal.app.cli.main import command_parser
 from softcal.app.line.qualification import QualificationPage, store_qualification
 from softcal.app.line.station_gate import RIG_ONLY, StationGate
@@ -44,6 +46,19 @@ def test_the_command_writes_figures_limits_and_how_long_they_hold_and_the_gate_r
     with open_registry(url) as registry:
         names = [condition.name.code for condition in opened(registry).conditions]
         assert "gate.name.qualification" in names and opened(registry).is_open == content["is_passed"]
+
+
+@pytest.mark.parametrize("days", ["0", "-5", "367", "1000000000"])
+def test_a_page_that_would_hold_for_no_day_or_for_ever_is_refused_before_any_motion(days):
+    with pytest.raises(SystemExit) as end:
+        command_parser(["station"]).parse_args(["station", "qualify", "--out", "page.md", "--valid-days", days])
+    assert end.value.code == 2
+
+
+def test_a_figure_that_was_not_measured_is_called_so_and_does_not_pass():
+    figure = Figure("compliance of frame and unit, in series", float("nan"), "mm/N")
+    page = QualificationPage("line-1", CONFIG, "spring", Qualification((figure,), None, 80.0), datetime.now(UTC), 90)
+    assert page.rows[0][1:] == ("not measured", "mm/N", "", "NOT GOOD") and page.verdict == "NOT PASSED"
 
 
 def test_the_newest_page_counts_until_its_day(tmp_path):

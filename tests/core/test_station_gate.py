@@ -45,6 +45,11 @@ REASONS = {
         "qualification_ended",
         "2026-03-02",
     ),
+    "qualified by a clock that was ahead": (
+        {"qualification": QualificationAtGate(True, date(2031, 3, 2))},
+        "qualified_ahead",
+        "2031-03-02",
+    ),
     "golden out": ({"golden": GoldenCheck(NOW, "G1", False)}, "golden_bad", "G1"),
 }
 

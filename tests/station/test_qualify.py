@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from softcal.core.errors import CommandRefused, SafetyStop
@@ -9,7 +10,7 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin
 from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
-from softcal.station.tasks.qualify import qualify
+from softcal.station.tasks.qualify import Figure, _Presses, qualify
 from softcal.station.testing.faults import filter_cell
 from tests.layers import layered
 
@@ -52,6 +53,20 @@ def test_the_frame_gives_way_by_what_the_spring_does_not(compliance_mm_N):
     qualification, figures = qualified((EffectSetting("frame_compliance", {"c_f": compliance_mm_N}),))
     assert qualification.is_passed == (compliance_mm_N < 0.05)
     assert figures["compliance"].value == pytest.approx(compliance_mm_N, rel=0.1)
+
+
+@pytest.mark.parametrize("share", layered((0.8, 1.3), (1.3,)))
+def test_wrong_steps_per_mm_do_not_pass_on_a_spring_of_known_stiffness(share):
+    qualification, figures = qualified(fault=lambda station: setattr(station.rig, "steps_share", share))
+    assert not_good(qualification) == {"compliance"}
+    assert figures["compliance"].value == pytest.approx((1.0 / share - 1.0) / SPRING_N_MM, abs=0.005)
+
+
+def test_what_a_run_does_not_tell_is_no_figure_without_fault():
+    t_s = np.arange(0.0, 40.0, 2.0)
+    stage_mm = 1.0 - np.abs((t_s / 4.0) % 2.0 - 1.0)
+    presses = _Presses(t_s, stage_mm, 5.0 * (stage_mm > 0.9))
+    assert np.isnan(presses.backlash_mm) and not Figure("backlash", presses.backlash_mm, "mm", 0.05).is_good
 
 
 def test_without_a_known_stiffness_frame_and_unit_stand_together_and_have_no_limit():
