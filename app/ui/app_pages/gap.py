@@ -1,6 +1,7 @@
 """The gap between the twin and a rig: the diagnoses, one of them, or two side by side."""
 
 from pathlib import Path
+from typing import Literal
 
 import plotly.graph_objects as go
 import streamlit as st
@@ -92,8 +93,8 @@ def _case(case: Path, jobs: list[Job]) -> None:
         job = registry().job_board.job(requested_id)
     label = translate("gap.diagnose" if job is None else "gap.diagnose.again")
     with st.container(horizontal=True, vertical_alignment="center"):
-        look = "primary" if job is None else "secondary"
-        is_asked = st.button(label, type=look, disabled=is_running(job), key="diagnose")
+        kind: Literal["primary", "secondary"] = "primary" if job is None else "secondary"
+        is_asked = st.button(label, type=kind, disabled=is_running(job), key="diagnose")
         is_calibrating = st.checkbox(translate("gap.diagnose.calibration"), key="gap-calibration")
     if is_asked:
         st.query_params.pop("job", None)
