@@ -166,7 +166,7 @@ class _Law:
     @property
     def changes(self) -> float:
         """The sum of squares of the force behind the high pass, without what a law has to explain there at once."""
-        begin, passed_N = self._passed(self._force_N[:, None]).T
+        begin, passed_N = self._fading, self._passed_N
         return max(float(passed_N @ passed_N - (begin @ passed_N) ** 2 / (begin @ begin)), 1e-300)
 
     @property
@@ -174,7 +174,7 @@ class _Law:
         """The sum of squares of the noise behind the high pass: of what changes from sample to sample and back."""
         bends_N = np.diff(self._force_N, 2)
         variance = (float(np.median(np.abs(bends_N))) / NORMAL_MEDIAN) ** 2 / 6.0 if len(bends_N) else 0.0
-        return 2.0 * variance * len(self._at_s) / (1.0 + float(np.exp(-self._even_s / self._config.high_pass_s)))
+        return 2.0 * variance * len(self._passed_N) / (1.0 + self._decay)
 
     def best(self, constant_s: float, delays_s: Array) -> _Candidate:
         """Return the best of these delays, refined around the minimum."""

@@ -247,6 +247,7 @@ FAULTS: tuple[Fault, ...] = (
             _from_the_start(f"load cell behind a low pass of {s:g} s", partial(filter_cell, constant_s=s))
             for s in (0.03, 0.06, 0.1, 0.3)
         ),
+        _from_the_start("load cell follows no faster than 1.5 N/s", partial(limit_speed, fastest_N_s=1.5)),
         _pressing("load cell's gain halves between two presses", _force(lambda x: 0.5 * x), REST_S),
         _pressing("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), REST_S),
         _pressing("load cell's gain halves while pressing", _force(lambda x: 0.5 * x)),
