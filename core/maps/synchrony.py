@@ -21,6 +21,10 @@ LONGEST_LAG_s = 1.0
 """Clocks further apart than this are not looked for."""
 
 
+STRETCHES = 8
+"""Stretches of a source whose ranks are stored: a comparison looks at three, and units of a line share none."""
+
+
 @dataclass(frozen=True)
 class Synchrony:
     """What the outputs say about a common load.
@@ -129,13 +133,12 @@ def _band_of(values: Array, scale: int, apart: int) -> _Band:
     return _Band(np.fft.rfft(band), len(band), float(np.std(band)))
 
 
-# A comparison looks at three stretches of the source; units of a line share none.
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=STRETCHES)
 def _stored_ranks(source: OutputRecording, time_s: bytes, shared_s: bytes) -> Array:
     return _ranks_at(source, np.frombuffer(time_s), np.frombuffer(shared_s))
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=4 * STRETCHES)
 def _stored_band(source: OutputRecording, time_s: bytes, shared_s: bytes, scale: int, apart: int) -> _Band:
     return _band_of(_stored_ranks(source, time_s, shared_s), scale, apart)
 

@@ -27,7 +27,7 @@ NO_DECISION = {
     "core/maps/plan.py": {"MAX_WINDOWS", "MAX_JOINT_WINDOWS", "MAX_JOINT_ROUNDS", "NEIGHBOURS", "RIDGE_PER_WINDOW"},
     "core/maps/readout_lag.py": {"MEAN_SAMPLES"},  # noise is averaged away
     "core/maps/crossing.py": {"CACHED"},  # entries of a cache
-    "core/maps/synchrony.py": {"NONE", "LONGEST_LAG_s"},  # zeros, and where a search ends
+    "core/maps/synchrony.py": {"NONE", "LONGEST_LAG_s", "STRETCHES"},  # zeros, where a search ends, a cache
     "core/operation/adapter.py": {"STATE_FORMAT"},  # of the stored state
     "core/operation/stream_estimator.py": {"MAX_UPDATES"},  # length of a queue for the caller
     "core/gap/case.py": {
