@@ -53,8 +53,8 @@ rig.low_pass: load cell: it follows the force too slowly; switch off the filter 
   press more slowly (time constant {constant_s:.3f} s, labels wrong by {error_N:.3g} N RMS, at most
   {allowed_N:.3g} N)
 rig.distorted: load cell: no delay and no filter explains its readings; look for an average, a limit of
-  speed or an automatic zero of its amplifier, then press again ({percent:.0f} % of the changes of the
-  force, left by its depth)
+  speed or an automatic zero of its amplifier, then press again (left of them by the depth: {percent:.1f} %
+  of the force's range RMS)
 rig.gain: load cell: one press shows another force than the next at equal depth; check the cell's
   amplifier, its mounting and the unit's seat, then press again ({ratio:.2f} x)
 rig.odd_force: load cell: its force does not fit depth and output; check its plug and amplifier, and

@@ -202,7 +202,7 @@ class ResponseConfig:
         relaxation_s: times with which a unit's force may relax.
         high_pass_s: slower changes than that are left out.
         tells: a low pass is there that leaves so many times less than none. Good rigs show 1.16 at most.
-        max_unexplained: share of the changes of the force that delay and low pass may leave.
+        max_unexplained: share of the force's range that delay and low pass may leave of its changes (RMS).
         share: a labelled run is refused whose labels it makes wrong (RMS) by this share of the force's range: a quarter
             of 2 %, which a good source leaves.
         limit_share: or by this share of the lot's limit.
@@ -215,7 +215,7 @@ class ResponseConfig:
     relaxation_s: tuple[float, ...] = setting((0.05, 0.2, 0.8, 3.0), FILTERED_RIGS)
     high_pass_s: float = setting(0.3, FILTERED_RIGS)
     tells: float = setting(1.3, FILTERED_RIGS)
-    max_unexplained: float = setting(0.05, RIGS)
+    max_unexplained: float = setting(0.02, "station faults drawn with seeds 8000 to 8029: good rigs 0.0125 at most")
     share: float = setting(0.005)
     limit_share: float = setting(0.25)
 

@@ -30,8 +30,8 @@ class CellResponse:
         time_constant_s: of the first-order low pass behind it, whether the delay shows or not; 0 for none.
         grid_s: (n,) host times.
         true_N, filtered_N: (n,) the force by the fitted law, and the same behind delay and low pass.
-        unexplained: share of the changes of the force that the law leaves behind the best delay and low pass, beyond
-            noise.
+        unexplained: RMS of the changes of the force that the law leaves behind the best delay and low pass, beyond
+            noise, as a share of the force's range.
     """
 
     delay_s: float
@@ -93,7 +93,7 @@ def fit_response(
     best = min(best, filtered([share * best.constant_s for share in response.finer]))
     if prompt.misfit < (response.tells + allowance) * best.misfit:
         best = prompt
-    unexplained = max(0.0, best.misfit - law.noise) / law.changes
+    unexplained = law.rms_beyond_noise(best) / max(float(np.ptp(force_N)), 1e-12)
     # Presses that come again and again fit nearly as well half a press away: every other delay counts.
     others_s = [best.delay_s - lag.apart_s, best.delay_s + lag.apart_s, *delays_s]
     is_identifiable = law.best_apart(best, others_s, lag.apart_s) >= (lag.tells + allowance) * best.misfit
@@ -163,18 +163,13 @@ class _Law:
         self._fading = self._decay ** np.arange(len(self._at_s) - self._first)
         self._passed_N = self._passed(self._force_N)
 
-    @property
-    def changes(self) -> float:
-        """The sum of squares of the force behind the high pass, without what a law has to explain there at once."""
-        begin, passed_N = self._fading, self._passed_N
-        return max(float(passed_N @ passed_N - (begin @ passed_N) ** 2 / (begin @ begin)), 1e-300)
-
-    @property
-    def noise(self) -> float:
-        """The sum of squares of the noise behind the high pass: of what changes from sample to sample and back."""
+    def rms_beyond_noise(self, fit: _Candidate) -> float:
+        """Return the RMS of what a fit leaves, in N, but for noise: for what changes from sample to sample and back."""
         bends_N = np.diff(self._force_N, 2)
         variance = (float(np.median(np.abs(bends_N))) / NORMAL_MEDIAN) ** 2 / 6.0 if len(bends_N) else 0.0
-        return 2.0 * variance * len(self._passed_N) / (1.0 + self._decay)
+        # Behind the high pass white noise has this part more.
+        mean_square = fit.misfit / len(self._passed_N) - 2.0 * variance / (1.0 + self._decay)
+        return float(np.sqrt(max(0.0, mean_square)))
 
     def best(self, constant_s: float, delays_s: Array) -> _Candidate:
         """Return the best of these delays, refined around the minimum."""
