@@ -195,8 +195,10 @@ def _rows(registry: Registry, lot_id: str, serials: Sequence[str], units: Mappin
         measured = None if state is None or state.scores is None else state.scores.after.rmse
         forecast = None if state is None else state.fit.forecast.rmse
         is_measured = state is not None and state.decision.is_audited
-        told = unit.verdict, unit.reasons, is_measured, had_passed, at, forecast, measured, suspect
-        rows.append(UnitInLot(serial, *told))
+        errors = {"forecast_rmse": forecast, "measured_rmse": measured}
+        rows.append(
+            UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, **errors, suspect_reason=suspect)
+        )
     return rows
 
 

@@ -42,7 +42,7 @@ class _Range:
     def __format__(self, spec: str) -> str:
         return self._between(*(format_number(end, spec) for end in (self.low, self.high)))
 
-    def beside(self, limit: float) -> str:
+    def format_errors(self, limit: float) -> str:
         return self._between(*(format_error(end, limit) for end in (self.low, self.high)))
 
     def _between(self, low: str, high: str) -> str:
@@ -94,7 +94,9 @@ def _render_group(reasons: Sequence[Reason]) -> str:
         values |= {name: getattr(values[name], end)} if isinstance(values.get(name), _Range) else {}
     if isinstance(limit := values.get("limit"), float):
         values |= {
-            name: one.beside(limit) for name in VALUES_IN_LIMIT_UNIT if isinstance(one := values.get(name), _Range)
+            name: one.format_errors(limit)
+            for name in VALUES_IN_LIMIT_UNIT
+            if isinstance(one := values.get(name), _Range)
         }
     return fill_sentence(ENGLISH[reasons[0].code], values)
 

@@ -146,8 +146,8 @@ def test_a_rest_of_its_own_shape_speaks_against_a_law_unless_its_kin_was_tried()
     chances = [Consistency(0.99, 0.03, bent=bent).genuine_chance(FOREIGN) for bent in (0.0, 0.5, 0.9, 1.0)]
     assert chances == sorted(chances, reverse=True) and chances[0] > 0.9 > 0.7 > chances[2]
     assert Consistency(0.99, 0.03, bent=1.0, kin=0.9).genuine_chance(FOREIGN) == chances[0]
-    beside = [Consistency(0.99, 0.03, 0.8, bent=bent, kin=0.9).genuine_chance(FOREIGN) for bent in (0.0, 1.0)]
-    assert beside[1] < 0.7 * beside[0]
+    cancelled = [Consistency(0.99, 0.03, 0.8, bent=bent, kin=0.9).genuine_chance(FOREIGN) for bent in (0.0, 1.0)]
+    assert cancelled[1] < 0.7 * cancelled[0]
     assert Consistency(0.99, 0.03, bent=1.0, kin=0.5).genuine_chance(FOREIGN) == chances[-1]
     assert Consistency(1.0, 0.001, is_on_bound=True).genuine_chance(FOREIGN) < 0.3
     assert Consistency(1.0, 0.001).genuine_chance(FOREIGN) > 0.95
