@@ -11,7 +11,6 @@ python benchmarks/gap_rigs.py blind                a fresh seed of 128 bits, pri
 """
 
 import argparse
-import importlib
 import json
 import secrets
 import sys
@@ -55,6 +54,9 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth
 from softcal.core.transfer import transfer as transferred
 from softcal.core.twin.catalogue import EFFECTS
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests import drawn_plants  # noqa: E402
 
 Row = tuple[object, ...]
 
@@ -226,11 +228,9 @@ def plants(options: argparse.Namespace) -> None:
     cubic drive, has no candidate, and a dead band resembles it: right is `unknown`. Plants 0 to 13, 200 to 209 and 900
     to 904 chose constants or are used by tests. Plants from 5000 on chose nothing.
     """
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "core"))
-    drawn_case = importlib.import_module("test_gap_run_nuisance")
     counts: dict[tuple[str, str], Counter[str]] = {}
     wrong = []
-    for line, hidden, seed, diagnosis in score_plants(drawn_case, range(options.first, options.first + options.count)):
+    for line, hidden, seed, diagnosis in score_plants(range(options.first, options.first + options.count)):
         counts.setdefault((line, hidden), Counter())[diagnosis] += 1
         wrong += [f"plant {seed}, {line}, {hidden}"] if diagnosis == "wrong" else []
     rows = ((*of, *(counter[word] for word in OUTCOMES)) for of, counter in counts.items())
@@ -238,20 +238,23 @@ def plants(options: argparse.Namespace) -> None:
     print("wrong: " + ("; ".join(wrong) or "none"))
 
 
-def score_plants(drawn_case: Any, seeds: range) -> Iterator[tuple[str, str, int, str]]:
+def score_plants(seeds: range) -> Iterator[tuple[str, str, int, str]]:
     """Yield line, hidden cause, plant and outcome."""
     for seed in seeds:
         for line, (noise, is_linear) in PLANT_LINES.items():
             for hidden in PLANTED:
-                plant = drawn_case.Plant(seed)
-                diagnosis = diagnose_simulator(
-                    plant.simulator, plant.recorded(noise, is_linear, drawn_case.CAUSES[hidden])
-                )
-                true = {hidden} - {"none", *drawn_case.ALIASES}
-                yield line, hidden, seed, outcome(diagnosis, drawn_case.named(diagnosis), true)
-        blind = drawn_case.blind(seed)
+                diagnosis = drawn_plants.diagnosed(seed, noise, is_linear, hidden)
+                true = {hidden} - {"none", *drawn_plants.ALIASES}
+                yield line, hidden, seed, outcome(diagnosis, drawn_plants.likely_causes(diagnosis), true)
+        diagnosis = drawn_plants.blind(seed)
         # Right for a cause without a candidate is that nothing explains it.
-        word = "wrong" if drawn_case.named(blind) else "right" if blind.verdict == "unknown" else "missed"
+        word = (
+            "wrong"
+            if drawn_plants.likely_causes(diagnosis)
+            else "right"
+            if diagnosis.verdict == "unknown"
+            else "missed"
+        )
         yield "no candidate for it", "cubic", seed, word
 
 

@@ -424,8 +424,15 @@ def genuine_probabilities(
     if ids not in memo:
         config, result = search.model.method.presence, search.fits[ids]
         complete, rest = _completeness(search, result), rest_energy(result, noise_chance(result))
+        fits, laws = search.fits, search.laws
         each = {
-            i: consistency_of(result, i, rest, [row for j, rows in search.laws.items() if j != i for row in rows])
+            i: consistency_of(
+                result,
+                i,
+                rest,
+                [row for j, rows in laws.items() if j != i for row in rows],
+                fits.get(tuple(j for j in ids if j != i)),
+            )
             for i in ids
         }
         # A law that goes to its bound takes the shape of another one, and leaves no more than that one would.

@@ -222,18 +222,27 @@ def rest_energy(result: Fit, noise_chance: float) -> float:
     return max(energy(result.residual) - count, residual.rms**2 * count if residual.is_significant else 0.0, min_energy)
 
 
-def consistency_of(result: Fit, effect_id: str, rest: float, laws: Iterable[Array] = ()) -> Consistency:
+def consistency_of(
+    result: Fit, effect_id: str, rest: float, laws: Iterable[Array] = (), without: Fit | None = None
+) -> Consistency:
     """Return how a cause of a fit stands to the rest that the fit leaves, in units of χ².
 
     Args:
         laws: what the other laws of the list do to the base, under several shapes.
+        without: the fit without the cause; None where there is none.
     """
     config, change, at = result.problem.method.presence, signature(result, effect_id), result.hypothesis.slices
     # Of its signature what no other fitted parameter imitates.
     others = np.delete(result.jacobian, range(at[effect_id].start, at[effect_id].stop), axis=0)
     basis = orthonormal(others, 1e-10)
-    visible = np.asarray(change - (basis @ change) @ basis)
-    visible_energy = energy(visible)
+    linear = np.asarray(change - (basis @ change) @ basis)
+    linear_energy = energy(linear)
+    visible, visible_energy = linear, linear_energy
+    if without is not None:
+        # What a run has of its own ends at a bound; a base that moves along may stay within it.
+        refitted = result.problem.whitened(result.predicted - without.predicted)
+        if energy(refitted) < linear_energy:
+            visible, visible_energy = refitted, energy(refitted)
     if visible_energy <= 0.0:
         return Consistency(0.0, np.inf)
     pulled = 0.0
@@ -246,7 +255,7 @@ def consistency_of(result: Fit, effect_id: str, rest: float, laws: Iterable[Arra
     base = Tangent(result, base_only=True)
     own = base.visible(change)
     beyond_base = energy(own)
-    cancelled = float(np.clip(1.0 - visible_energy / beyond_base, 0.0, 1.0)) if beyond_base > 0.0 else 0.0
+    cancelled = float(np.clip(1.0 - linear_energy / beyond_base, 0.0, 1.0)) if beyond_base > 0.0 else 0.0
     is_on_bound = any(name.startswith(f"{effect_id}.") for name in bounds_reached(result))
     bent = bent_share(result, change, rest) if config.of_bent and rest > 0.0 else 0.0
     share, disagreement = visible_energy / (visible_energy + rest), float(np.sqrt(pulled / visible_energy))
